@@ -1,0 +1,189 @@
+"""Everything that happens in a replay, as frozen records.
+
+The ledger, the rerun recording and the progress bar are sinks of this one stream, so they cannot
+disagree. Arrays in an event are never written to after it was sent.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from proground_log.frame import Frame
+
+
+@dataclass(frozen=True)
+class FrameArrived:
+    """A frame was read from the log and registered.
+
+    Args:
+        frame: the frame.
+        sim_time_ns: simulated time since the start of the replay.
+        input_digest: sha256 over what the mapper gets to see, hexadecimal.
+        held_out: kept from the mapper, for evaluation.
+    """
+
+    frame: Frame
+    sim_time_ns: int
+    input_digest: str
+    held_out: bool
+
+
+@dataclass(frozen=True)
+class KeyframeInserted:
+    """The frame's samples went into the replay buffer.
+
+    Args:
+        frame_index: number of the frame in its log.
+        inserted: samples added.
+        evicted: samples, old or new, that had to go to stay under the cap.
+    """
+
+    frame_index: int
+    inserted: int
+    evicted: int
+
+
+@dataclass(frozen=True)
+class StepDone:
+    """One optimisation step.
+
+    Args:
+        frame_index: number of the newest frame.
+        step: number of the step in the whole replay, from 0.
+        iteration: number of the step in this frame, from 0.
+        sim_time_ns: simulated time since the start of the replay.
+        losses: each term by name, unweighted, and "total", the weighted sum; float32 values.
+        draws_digest: sha256 over the rays and sample positions drawn, hexadecimal.
+        rays_current, rays_replayed: rays taken from the newest frame and from the buffer.
+    """
+
+    frame_index: int
+    step: int
+    iteration: int
+    sim_time_ns: int
+    losses: dict[str, float]
+    draws_digest: str
+    rays_current: int
+    rays_replayed: int
+
+
+@dataclass(frozen=True)
+class BufferStatistics:
+    """The replay buffer at one moment.
+
+    Args:
+        samples, capacity: samples held, and the cap.
+        keyframes: keyframes of which at least one sample is left.
+        places: occupied cells, the unit of the buffer's fairness.
+        water_level: most samples that any place holds.
+        size_bytes: memory the samples take.
+    """
+
+    samples: int
+    capacity: int
+    keyframes: int
+    places: int
+    water_level: int
+    size_bytes: int
+
+
+@dataclass(frozen=True)
+class FrameDone:
+    """All steps of a frame are done.
+
+    Args:
+        frame_index: number of the frame in its log.
+        steps: steps done for it.
+        sim_time_ns: simulated time since the start of the replay.
+        buffer: the replay buffer afterwards.
+    """
+
+    frame_index: int
+    steps: int
+    sim_time_ns: int
+    buffer: BufferStatistics
+
+
+@dataclass(frozen=True)
+class StateDigested:
+    """Fingerprints of the mapper's whole state after a step.
+
+    Args:
+        step: number of steps done.
+        digests: sha256 by tensor name ("field/...", "optimiser/...", "buffer/..."), hexadecimal.
+    """
+
+    step: int
+    digests: dict[str, str]
+
+
+@dataclass(frozen=True)
+class ViewRendered:
+    """The map seen from a frame's camera, beside what the sensor saw.
+
+    Args:
+        frame_index: number of the frame in its log.
+        color, rendered_color: uint8 [h, w, 3] RGB, black where the sensor saw nothing.
+        depth_m, rendered_depth_m: float32 [h, w] metres, 0 where there is nothing.
+    """
+
+    frame_index: int
+    color: np.ndarray
+    depth_m: np.ndarray
+    rendered_color: np.ndarray
+    rendered_depth_m: np.ndarray
+
+
+@dataclass(frozen=True)
+class MeshExtracted:
+    """The surface of the map so far.
+
+    Args:
+        frame_index: number of the newest frame.
+        vertices_m: float32 [V, 3], world axes.
+        faces: int32 [F, 3], counter-clockwise seen from outside.
+        normals: float32 [V, 3], towards free space.
+        colors: uint8 [V, 3] RGB.
+    """
+
+    frame_index: int
+    vertices_m: np.ndarray
+    faces: np.ndarray
+    normals: np.ndarray
+    colors: np.ndarray
+
+
+@dataclass(frozen=True)
+class RunFinished:
+    """The replay is complete.
+
+    Args:
+        summary: figures by name, as in the summary table; JSON values.
+    """
+
+    summary: dict[str, object]
+
+
+Event = (
+    FrameArrived
+    | KeyframeInserted
+    | StepDone
+    | FrameDone
+    | StateDigested
+    | ViewRendered
+    | MeshExtracted
+    | RunFinished
+)
+
+
+class Sink(Protocol):
+    """Something that events are told to, in order."""
+
+    def on_event(self, event: Event) -> None: ...
+
+    def close(self) -> None:
+        """Flush what is pending; called once, after the last event or an interruption."""
+        ...

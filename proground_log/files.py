@@ -1,0 +1,66 @@
+"""Files that are there, outputs that are free, and writing that leaves nothing half-done."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from proground_log.errors import ProgroundError
+
+
+def require_file(path: Path) -> Path:
+    """Return `path`; raise a ProgroundError unless it is a file that is there."""
+    if not path.is_file():
+        what = "is a folder, not a file" if path.is_dir() else "no such file"
+        raise ProgroundError(what, where=path, todo="check the path")
+    return path
+
+
+def require_free(path: Path, *, overwrite: bool) -> Path:
+    """Return `path`; raise a ProgroundError when it exists and may not be replaced."""
+    if path.exists() and not overwrite:
+        raise ProgroundError(
+            "the output exists", where=path, todo="choose another name or pass --overwrite"
+        )
+    return path
+
+
+@contextmanager
+def disk_errors(path: Path) -> Iterator[None]:
+    """Turn what a disk refuses (full, read-only, forbidden) into a ProgroundError on `path`."""
+    try:
+        yield
+    except OSError as error:
+        remedies = {
+            errno.ENOSPC: "free some space or write elsewhere",
+            errno.EDQUOT: "free some space or write elsewhere",
+            errno.EFBIG: "raise the limit on file sizes or write elsewhere",
+            errno.EACCES: "check the permissions",
+            errno.EROFS: "write elsewhere",
+        }
+        if error.errno not in remedies:
+            raise
+        reason = os.strerror(error.errno).lower()
+        raise ProgroundError(
+            f"cannot write: {reason}", where=path, todo=remedies[error.errno]
+        ) from error
+
+
+@contextmanager
+def written_whole(path: Path) -> Iterator[Path]:
+    """Give a temporary path beside `path` that takes its name only once it is written whole.
+
+    On any error the temporary file is removed, so that nothing half-written ever stands under
+    the final name.
+    """
+    temporary = path.with_name(path.name + ".partial")
+    with disk_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            yield temporary
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
