@@ -15,11 +15,13 @@ class Source(Protocol):
         name: the format's name, as on the command line.
         calibration: the rig's cameras.
         label_names: class names by label; label 0 is "nothing"; empty without ground truth.
+        notes: what was left out or assumed, by keyword, for the log.
     """
 
     name: str
     calibration: Calibration
     label_names: dict[int, str]
+    notes: dict[str, str]
 
     def __len__(self) -> int: ...
 

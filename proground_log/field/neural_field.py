@@ -1,0 +1,76 @@
+"""The neural field: a point in space in, signed distance and colour out."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from proground_log.bounds import Bounds
+from proground_log.field.config import FieldConfig
+from proground_log.field.decoders import Decoders
+from proground_log.field.encodings import (
+    FEATURES_PER_LEVEL,
+    ONE_BLOB_BINS,
+    HashGridLayout,
+    hash_grid,
+    one_blob,
+)
+from proground_log.streams import stream
+
+
+class NeuralField(nn.Module):
+    """The paper's representation (4.2): hash grid and one-blob encoding, two small decoders.
+
+    Args:
+        config: sizes.
+        bounds: the box that is normalised to [0, 1]^3.
+        seed: of the initial weights.
+    """
+
+    def __init__(self, config: FieldConfig, bounds: Bounds, seed: int) -> None:
+        super().__init__()
+        self.config, self.bounds = config, bounds
+        self.layout = HashGridLayout(
+            config.levels,
+            config.log2_rows,
+            config.base_resolution,
+            float(bounds.size_m.max()) / config.voxel_m,
+        )
+        table = stream(seed, "table").random(
+            (self.layout.rows, FEATURES_PER_LEVEL), dtype=np.float32
+        )
+        self.table = nn.Parameter(torch.from_numpy((2 * table - 1) * np.float32(1e-4)))
+        self.decoders = Decoders(
+            FEATURES_PER_LEVEL * config.levels, 3 * ONE_BLOB_BINS, stream(seed, "decoders")
+        )
+        self.register_buffer("lower_m", torch.tensor(bounds.lower_m, dtype=torch.float32), False)
+        size_m = torch.from_numpy(bounds.size_m.astype(np.float32))
+        self.register_buffer("size_m", size_m, False)
+        self.lower_m: Tensor
+        self.size_m: Tensor
+
+    def normalise(self, points_m: Tensor) -> tuple[Tensor, Tensor]:
+        """Points [N, 3] in world metres to [0, 1]^3, clamped, and which lay inside, bool [N]."""
+        points = (points_m - self.lower_m) / self.size_m
+        clamped = points.clamp(0, 1)
+        return clamped, (points == clamped).all(dim=1)
+
+    def hash_features(self, points: Tensor) -> Tensor:
+        """Hash features [N, 2 levels] of normalised points [N, 3]."""
+        return hash_grid(points, self.table, self.layout)
+
+    def forward(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Ask the field at normalised points [N, 3].
+
+        Returns:
+            SDF in units of the truncation [N], colour in [0, 1] [N, 3], and f_c [N, 32].
+        """
+        blob = one_blob(points)
+        geometry = self.decoders.geometry(self.hash_features(points), blob)
+        color, color_features = self.decoders.color(geometry, blob)
+        return geometry[:, 0], color, color_features
+
+    def sdf(self, points: Tensor) -> Tensor:
+        """SDF in units of the truncation, [N], of normalised points [N, 3]."""
+        return self.decoders.sdf(self.hash_features(points), one_blob(points))

@@ -1,0 +1,108 @@
+"""Rendering a whole view of the field, with no depth to guide it."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from proground_log.camera import Camera
+from proground_log.field.neural_field import NeuralField
+from proground_log.field.rendering import before_surface, composite, sdf_weights
+
+MARCH_FRACTION = 0.8
+"""Part of the distance to the surface, as the field has it, that a march dares to go."""
+SHORTEST_STEP = 0.1
+"""Shortest step of a march, in truncations."""
+MOST_STEPS = 160
+SURFACE_SAMPLES = 16
+"""Samples on each ray around the surface that the march found."""
+RAYS_AT_ONCE = 8192
+
+
+@torch.no_grad()
+def render_view(
+    field: NeuralField, camera: Camera, world_from_camera: np.ndarray, *, near_m: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Render colour and depth as the camera would see the map.
+
+    Each ray marches through the signed distances to the first change of sign and is then
+    rendered (Eq. 4) from samples one truncation to either side of it.
+
+    Args:
+        field: the map.
+        camera: its pinhole camera; the size of the result.
+        world_from_camera: pose, float64 [4, 4].
+        near_m: where the rays begin, in metres along z.
+
+    Returns:
+        Colour, uint8 [H, W, 3], and depth along z in metres, float32 [H, W]; both 0 where a ray
+        meets no surface within the bounds.
+    """
+    device = field.table.device
+    rotation = world_from_camera[:3, :3].astype(np.float32)
+    directions = torch.from_numpy(camera.directions.reshape(-1, 3) @ rotation.T).to(device)
+    origin_m = torch.from_numpy(world_from_camera[:3, 3].astype(np.float32)).to(device)
+    parts = [_render_rays(field, origin_m, d, near_m) for d in directions.split(RAYS_AT_ONCE)]
+    colors, depths_m = (torch.cat(part) for part in zip(*parts, strict=True))
+    image = (colors * 255).round().to(torch.uint8).reshape(camera.height, camera.width, 3)
+    depth_m = depths_m.reshape(camera.height, camera.width)
+    return image.cpu().numpy(), depth_m.cpu().numpy()
+
+
+def _render_rays(
+    field: NeuralField, origin_m: Tensor, directions: Tensor, near_m: float
+) -> tuple[Tensor, Tensor]:
+    """Colour [R, 3] and depth [R] of the rays from one origin."""
+    surface_m = _march(field, origin_m, directions, near_m)
+    colors = torch.zeros_like(directions)
+    depths_m = torch.zeros_like(surface_m)
+    hit = surface_m.isfinite().nonzero()[:, 0]
+    if len(hit):
+        tr_m = field.config.truncation_m
+        spread_m = torch.linspace(-tr_m, tr_m, SURFACE_SAMPLES, device=directions.device)
+        z_m = (surface_m[hit, None] + spread_m).clamp_min(near_m)
+        points_m = origin_m + directions[hit, None] * z_m[..., None]
+        points, inside = field.normalise(points_m.reshape(-1, 3))
+        sdf, color, _ = field(points)
+        sdf = sdf.reshape(z_m.shape)
+        inside = inside.reshape(z_m.shape) & before_surface(sdf, z_m, tr_m)
+        weights = sdf_weights(sdf, inside)
+        colors[hit] = composite(weights, color.reshape(*z_m.shape, 3))
+        depths_m[hit] = (weights * z_m).sum(dim=1)
+    return colors, depths_m
+
+
+def _march(field: NeuralField, origin_m: Tensor, directions: Tensor, near_m: float) -> Tensor:
+    """Depth in metres of the first change of sign along each ray [R]; infinite where none is."""
+    tr_m = field.config.truncation_m
+    near, far = _span(field, origin_m, directions, near_m)
+    surface_m = torch.full_like(near, torch.inf)
+    active = (near < far).nonzero()[:, 0]
+    z_m = near[active]
+    previous_m, previous_sdf = z_m, torch.ones_like(z_m)
+    for _ in range(MOST_STEPS):
+        if not len(active):
+            break
+        points, _ = field.normalise(origin_m + directions[active] * z_m[:, None])
+        sdf = field.sdf(points)
+        crossed = sdf <= 0
+        # Between the last sample outside and the first inside, the distance is taken as linear.
+        share = previous_sdf / (previous_sdf - sdf).clamp_min(1e-6)
+        crossing_m = previous_m + (z_m - previous_m) * share
+        surface_m[active[crossed]] = crossing_m[crossed]
+        going = ~crossed & (z_m < far[active])
+        active, previous_m, previous_sdf = active[going], z_m[going], sdf[going]
+        z_m = previous_m + (previous_sdf * MARCH_FRACTION).clamp(SHORTEST_STEP, 1.0) * tr_m
+    return surface_m
+
+
+def _span(
+    field: NeuralField, origin_m: Tensor, directions: Tensor, near_m: float
+) -> tuple[Tensor, Tensor]:
+    """Where along z each ray enters and leaves the bounds, [R] each, in metres."""
+    safe = torch.where(directions.abs() < 1e-9, torch.full_like(directions, 1e-9), directions)
+    first = (field.lower_m - origin_m) / safe
+    second = (field.lower_m + field.size_m - origin_m) / safe
+    near = torch.minimum(first, second).amax(dim=1).clamp_min(near_m)
+    return near, torch.maximum(first, second).amin(dim=1)

@@ -1,0 +1,130 @@
+"""Looks for faults in a log: damaged bytes, time that runs back, impossible poses and depths."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from mcap.records import Channel, Chunk, Message, Schema
+from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
+
+from proground_log.camera import transform
+from proground_log.errors import ProgroundError
+from proground_log.log import topics
+from proground_log.log.reader import (
+    DAMAGE,
+    LogReader,
+    MessageDecoder,
+    RawMessage,
+    decode_frame,
+    group_by_time,
+)
+from proground_log.log.registration import Registration
+
+LEAST_INSIDE = 0.5
+"""Share of a frame's depth that has to lie inside the log's bounds: they enclose 99 % of all."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One thing wrong with a log; `topic` and `frame` are "" where they do not apply."""
+
+    frame: str
+    topic: str
+    what: str
+
+
+def check_log(path: Path, progress: Callable[[int, int], None]) -> list[Fault]:
+    """Find every fault of a log.
+
+    Args:
+        path: the log; raises a ProgroundError where it is so damaged that it cannot be opened.
+        progress: told the frames checked and the frames announced.
+    """
+    reader = LogReader(path)
+    faults: list[Fault] = []
+    register = Registration(reader.calibration)
+    decode = MessageDecoder()
+    last_ns = -1
+    count = 0
+    for count, group in enumerate(group_by_time(_whole_messages(path, faults)), start=1):
+        index = group[0][2].sequence
+        if group[0][2].log_time <= last_ns:
+            faults.append(Fault(str(index), "", f"time does not increase after {last_ns} ns"))
+        last_ns = max(last_ns, group[0][2].log_time)
+        faults.extend(_frame_faults(index, group, decode, register, reader))
+        progress(count, len(reader))
+    if count != len(reader):
+        faults.append(Fault("", "", f"{count} frames found, {len(reader)} announced"))
+    return faults
+
+
+def _whole_messages(path: Path, faults: list[Fault]) -> Iterator[RawMessage]:
+    """All messages of undamaged chunks in file order; damage goes into `faults`."""
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Channel] = {}
+    last_frame = -1
+    with path.open("rb") as stream:
+        records = StreamReader(stream, emit_chunks=True, validate_crcs=True).records
+        try:
+            for record in records:
+                if not isinstance(record, Chunk):
+                    continue
+                try:
+                    parts = breakup_chunk(record, validate_crc=True)
+                except DAMAGE as error:
+                    start_s, end_s = record.message_start_time / 1e9, record.message_end_time / 1e9
+                    what = f"a chunk, {start_s:.3f} s to {end_s:.3f} s, is damaged ({error})"
+                    faults.append(Fault(f"after {last_frame}", "", what))
+                    continue
+                for part in parts:
+                    if isinstance(part, Schema):
+                        schemas[part.id] = part
+                    elif isinstance(part, Channel):
+                        channels[part.id] = part
+                    elif isinstance(part, Message):
+                        channel, last_frame = channels[part.channel_id], part.sequence
+                        yield schemas[channel.schema_id], channel, part
+        except CRCValidationError:
+            # Says that some byte of the file changed; a damaged chunk was named already.
+            if not faults:
+                faults.append(Fault("", "", "the checksum over the whole file does not hold"))
+
+
+def _frame_faults(
+    index: int,
+    group: list[RawMessage],
+    decode: MessageDecoder,
+    register: Registration,
+    reader: LogReader,
+) -> Iterator[Fault]:
+    """The faults of one frame."""
+    name = str(index)
+    try:
+        sensor = decode_frame(index, group, decode, where=reader.path)
+    except ProgroundError as error:
+        topic = error.where.rpartition(", ")[2]
+        yield Fault(name, topic if topic.startswith("/") else "", error.what)
+        return
+    depth_m = sensor.depth_m
+    if not np.isfinite(depth_m).all():
+        yield Fault(name, topics.DEPTH, "has depths that are not finite")
+        return
+    if (depth_m < 0).any():
+        yield Fault(name, topics.DEPTH, "has negative depths")
+    try:
+        frame = register(sensor)
+    except ProgroundError as error:
+        yield Fault(name, topics.COLOR, error.what)
+        return
+    valid = frame.depth_m > 0
+    if not valid.any():
+        yield Fault(name, topics.DEPTH, "has no depth at all")
+        return
+    points_m = transform(frame.world_from_camera, frame.camera.unproject(frame.depth_m)[valid])
+    inside = float(reader.recording.bounds.contains(points_m).mean())
+    if inside < LEAST_INSIDE:
+        what = f"only {inside:.0%} of its depth lies inside the log's bounds"
+        yield Fault(name, topics.DEPTH, what)

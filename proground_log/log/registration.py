@@ -1,0 +1,130 @@
+"""Registration: bring what two cameras saw into the depth camera's pixels.
+
+The log keeps what the sensors gave; the mapper wants one camera. A registered frame lives in the
+depth camera, without its distortion, and colour and labels are looked up by projecting each depth
+pixel into the colour camera.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numba
+import numpy as np
+
+from proground_log.camera import Calibration, Camera
+from proground_log.errors import ProgroundError
+from proground_log.frame import Frame, SensorFrame
+
+OCCLUSION_TOLERANCE_M = 0.05
+"""A surface this much behind the nearest one along a colour ray is hidden from the colour
+camera; sensor noise at 4 m stays below."""
+
+
+class Registration:
+    """Registers the frames of one rig."""
+
+    def __init__(self, calibration: Calibration) -> None:
+        self._calibration = calibration
+        self._camera = calibration.depth.pinhole()
+        self._depth_maps = _rectification(calibration.depth)
+        self._color_maps = _rectification(calibration.color)
+        color_from_depth = np.linalg.inv(calibration.depth_from_color)
+        self._color_from_depth = np.ascontiguousarray(color_from_depth[:3], dtype=np.float64)
+
+    def __call__(self, sensor: SensorFrame) -> Frame:
+        """Decode and register a frame; raises a ProgroundError that names it."""
+        color = sensor.decode_color()
+        expected = self._calibration.color
+        if color.shape[:2] != (expected.height, expected.width):
+            raise ProgroundError(
+                f"the colour image is {color.shape[1]}x{color.shape[0]}, "
+                f"the camera {expected.width}x{expected.height}",
+                where=f"frame {sensor.index}",
+                todo="record the log again with the right calibration",
+            )
+        depth_m, labels = sensor.depth_m, sensor.labels
+        valid = np.ones(color.shape[:2], dtype=np.uint8)
+        if self._depth_maps:
+            depth_m = cv2.remap(depth_m, *self._depth_maps, cv2.INTER_NEAREST)
+        if self._color_maps:
+            color = cv2.remap(color, *self._color_maps, cv2.INTER_LINEAR)
+            valid = cv2.remap(valid, *self._color_maps, cv2.INTER_NEAREST)
+            if labels is not None:
+                labels = cv2.remap(labels, *self._color_maps, cv2.INTER_NEAREST)
+        if not self._calibration.is_registered:
+            rays, k = self._camera.directions, self._calibration.color
+            intrinsics = np.array([k.fx, k.fy, k.cx, k.cy])
+            pixels = _color_pixels(
+                depth_m, rays, self._color_from_depth, intrinsics, color.shape[0], color.shape[1]
+            )
+            valid = cv2.remap(valid, pixels, None, cv2.INTER_NEAREST, borderValue=0)
+            color = cv2.remap(color, pixels, None, cv2.INTER_LINEAR, borderValue=0)
+            if labels is not None:
+                labels = cv2.remap(labels, pixels, None, cv2.INTER_NEAREST, borderValue=0)
+        return Frame(
+            index=sensor.index,
+            stamp_ns=sensor.stamp_ns,
+            camera=self._camera,
+            world_from_camera=sensor.world_from_camera,
+            depth_m=depth_m,
+            color=color,
+            color_valid=valid.astype(bool),
+            labels=labels,
+        )
+
+
+def _rectification(camera: Camera) -> tuple[np.ndarray, np.ndarray] | None:
+    """The maps for cv2.remap that take the distortion out; None for an ideal lens."""
+    if not any(camera.distortion):
+        return None
+    k, size = camera.k_integer_centres, (camera.width, camera.height)
+    x, y = cv2.initUndistortRectifyMap(k, np.array(camera.distortion), None, k, size, cv2.CV_32FC1)
+    return x, y
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _color_pixels(
+    depth_m: np.ndarray,
+    rays: np.ndarray,
+    color_from_depth: np.ndarray,
+    intrinsics: np.ndarray,
+    height: int,
+    width: int,
+) -> np.ndarray:
+    """Where the colour camera sees each depth pixel, float32 [H, W, 2], centres at whole numbers.
+
+    (-9, -9) where there is no depth, where the colour camera does not look, and where it sees a
+    nearer surface instead.
+    """
+    rows, columns = depth_m.shape
+    fx, fy, cx, cy = intrinsics
+    pixels = np.full((rows, columns, 2), -9.0, dtype=np.float32)
+    depth_in_color = np.zeros((rows, columns), dtype=np.float32)
+    nearest_m = np.full((height, width), np.inf, dtype=np.float32)
+    m = color_from_depth
+    for row in range(rows):
+        for column in range(columns):
+            z = depth_m[row, column]
+            if z <= 0:
+                continue
+            x, y = rays[row, column, 0] * z, rays[row, column, 1] * z
+            color_z = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+            if color_z <= 0:
+                continue
+            u = fx * (m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]) / color_z + cx - 0.5
+            v = fy * (m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]) / color_z + cy - 0.5
+            if u < 0 or v < 0 or u > width - 1 or v > height - 1:
+                continue
+            pixels[row, column, 0] = u
+            pixels[row, column, 1] = v
+            depth_in_color[row, column] = color_z
+            i, j = int(v + 0.5), int(u + 0.5)
+            nearest_m[i, j] = min(nearest_m[i, j], color_z)
+    for row in range(rows):
+        for column in range(columns):
+            if pixels[row, column, 0] < 0:
+                continue
+            i, j = int(pixels[row, column, 1] + 0.5), int(pixels[row, column, 0] + 0.5)
+            if depth_in_color[row, column] > nearest_m[i, j] + OCCLUSION_TOLERANCE_M:
+                pixels[row, column, :] = -9.0
+    return pixels

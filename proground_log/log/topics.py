@@ -1,0 +1,23 @@
+"""What stands in a log: topics, coordinate frames, metadata and attachments, by name."""
+
+from __future__ import annotations
+
+SCHEMA_VERSION = "1"
+"""Version of this contract; a reader refuses any other."""
+
+COLOR = "/camera/color/image"
+COLOR_INFO = "/camera/color/camera_info"
+DEPTH = "/camera/depth/image"
+DEPTH_INFO = "/camera/depth/camera_info"
+TF = "/tf"
+TF_STATIC = "/tf_static"
+LABELS = "/ground_truth/labels"
+LABELS_PREVIEW = "/ground_truth/labels_preview"
+
+WORLD_FRAME = "world"
+COLOR_FRAME = "camera_color_optical_frame"
+DEPTH_FRAME = "camera_depth_optical_frame"
+
+RECORDING_METADATA = "proground.recording"
+LABEL_NAMES_ATTACHMENT = "label_names.json"
+MESH_ATTACHMENT = "ground_truth_mesh.ply"

@@ -1,0 +1,160 @@
+"""Writes sensor frames into an MCAP log, the same bytes for the same frames."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO
+
+import cv2
+import numpy as np
+from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap.writer import CompressionType, Writer
+
+from proground_log.camera import Calibration
+from proground_log.errors import ProgroundError
+from proground_log.files import written_whole
+from proground_log.frame import SensorFrame
+from proground_log.log import messages, topics
+from proground_log.log.palette import label_colors
+from proground_log.log.recording import Recording
+
+CHUNK_BYTES = 2 * 1024 * 1024
+
+_MESSAGE_TYPES = {
+    topics.COLOR_INFO: "sensor_msgs/msg/CameraInfo",
+    topics.COLOR: "sensor_msgs/msg/CompressedImage",
+    topics.DEPTH_INFO: "sensor_msgs/msg/CameraInfo",
+    topics.DEPTH: "sensor_msgs/msg/Image",
+    topics.TF: "tf2_msgs/msg/TFMessage",
+    topics.TF_STATIC: "tf2_msgs/msg/TFMessage",
+    topics.LABELS: "sensor_msgs/msg/Image",
+    topics.LABELS_PREVIEW: "sensor_msgs/msg/CompressedImage",
+}
+
+
+class LogWriter:
+    """Writes one log; made by `open_writer`.
+
+    All messages of a frame carry the frame's time as log time, so that equal times mean one
+    frame; the images' headers keep the sensors' own times.
+    """
+
+    def __init__(self, stream: BinaryIO, calibration: Calibration) -> None:
+        self._calibration = calibration
+        self._writer = Writer(
+            stream,
+            chunk_size=CHUNK_BYTES,
+            compression=CompressionType.ZSTD,
+            enable_crcs=True,
+            enable_data_crcs=True,
+        )
+        self._writer.start(profile="ros2", library="proground-log")
+        self._encoders = {name: messages.encoder(name) for name in messages.DEFINITIONS}
+        self._schema_ids = {
+            name: self._writer.register_schema(name, SchemaEncoding.ROS2, text.encode())
+            for name, text in messages.DEFINITIONS.items()
+        }
+        self._channel_ids: dict[str, int] = {}
+        self._frames = 0
+        self._last_stamp_ns = -1
+
+    @property
+    def frames(self) -> int:
+        """Frames written so far."""
+        return self._frames
+
+    def write(self, frame: SensorFrame) -> None:
+        """Append a frame; its time has to be later than that of the one before."""
+        stamp_ns = frame.stamp_ns
+        if stamp_ns <= self._last_stamp_ns:
+            raise ProgroundError(
+                f"its time, {stamp_ns} ns, is not after {self._last_stamp_ns} ns",
+                where=f"frame {frame.index}",
+                todo="put the source's frames in order of time",
+            )
+        cameras = self._calibration
+        for pixels, camera, what in (
+            (frame.depth, cameras.depth, "depth image"),
+            (frame.labels, cameras.color, "label image"),
+        ):
+            if pixels is not None and pixels.shape != (camera.height, camera.width):
+                raise ProgroundError(
+                    f"the {what} is {pixels.shape[1]}x{pixels.shape[0]}, "
+                    f"the camera {camera.width}x{camera.height}",
+                    where=f"frame {frame.index}",
+                    todo="bring the source's images and its calibration together",
+                )
+        self._last_stamp_ns = stamp_ns
+        if self._frames == 0:
+            mount = messages.transform_message(
+                cameras.depth_from_color, stamp_ns, topics.DEPTH_FRAME, topics.COLOR_FRAME
+            )
+            self._add(topics.TF_STATIC, stamp_ns, mount)
+        pose = messages.transform_message(
+            frame.world_from_camera, stamp_ns, topics.WORLD_FRAME, topics.DEPTH_FRAME
+        )
+        self._add(topics.TF, stamp_ns, pose)
+        for topic, camera, frame_id in (
+            (topics.COLOR_INFO, cameras.color, topics.COLOR_FRAME),
+            (topics.DEPTH_INFO, cameras.depth, topics.DEPTH_FRAME),
+        ):
+            self._add(topic, stamp_ns, messages.camera_info(camera, stamp_ns, frame_id))
+        color = messages.compressed_image(
+            frame.color, frame.color_format, frame.color_stamp_ns, topics.COLOR_FRAME
+        )
+        self._add(topics.COLOR, stamp_ns, color)
+        encoding = "16UC1" if frame.depth.dtype == np.uint16 else "32FC1"
+        depth = messages.image(frame.depth, encoding, stamp_ns, topics.DEPTH_FRAME)
+        self._add(topics.DEPTH, stamp_ns, depth)
+        if frame.labels is not None:
+            self._write_labels(frame.labels, stamp_ns)
+        self._frames += 1
+
+    def _write_labels(self, labels: np.ndarray, stamp_ns: int) -> None:
+        exact = messages.image(labels, "mono16", stamp_ns, topics.COLOR_FRAME)
+        self._add(topics.LABELS, stamp_ns, exact)
+        colored = label_colors(int(labels.max()) + 1)[labels]
+        _, png = cv2.imencode(".png", colored[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1])
+        preview = messages.compressed_image(png.tobytes(), "png", stamp_ns, topics.COLOR_FRAME)
+        self._add(topics.LABELS_PREVIEW, stamp_ns, preview)
+
+    def _add(self, topic: str, stamp_ns: int, message: object) -> None:
+        message_type = _MESSAGE_TYPES[topic]
+        if topic not in self._channel_ids:
+            metadata = {}
+            if topic == topics.TF_STATIC:
+                # What a ROS 2 player needs to hand a static transform to late listeners.
+                metadata["offered_qos_profiles"] = "- durability: transient_local"
+            self._channel_ids[topic] = self._writer.register_channel(
+                topic, MessageEncoding.CDR, self._schema_ids[message_type], metadata
+            )
+        self._writer.add_message(
+            self._channel_ids[topic],
+            log_time=stamp_ns,
+            publish_time=stamp_ns,
+            sequence=self._frames,
+            data=self._encoders[message_type](message),
+        )
+
+    def finish(self, recording: Recording, label_names: dict[int, str], mesh: bytes | None) -> None:
+        """Write what is known at the end, and the index."""
+        self._writer.add_metadata(topics.RECORDING_METADATA, recording.to_metadata())
+        names = json.dumps({str(label): name for label, name in sorted(label_names.items())})
+        self._attach(topics.LABEL_NAMES_ATTACHMENT, "application/json", names.encode())
+        if mesh is not None:
+            self._attach(topics.MESH_ATTACHMENT, "application/x-ply", mesh)
+        self._writer.finish()
+
+    def _attach(self, name: str, media_type: str, data: bytes) -> None:
+        time_ns = max(self._last_stamp_ns, 0)
+        self._writer.add_attachment(time_ns, time_ns, name, media_type, data)
+
+
+@contextmanager
+def open_writer(path: Path, calibration: Calibration) -> Iterator[LogWriter]:
+    """Write a log to `path`, which takes its name only once `LogWriter.finish` was called."""
+    with written_whole(path) as temporary, temporary.open("wb") as stream:
+        yield LogWriter(stream, calibration)

@@ -1,0 +1,68 @@
+"""Settings of the online mapper."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from proground_log.field.config import FieldConfig
+
+
+@dataclass(frozen=True)
+class SamplingConfig:
+    """Rays of a step, and samples of a ray."""
+
+    rays: int = 1024
+    """Rays of a step, current frame and replay buffer together."""
+    current_share: float = 0.25
+    """Share of them that look at the newest frame."""
+    uniform: int = 32
+    """Samples spread evenly over a ray."""
+    near_surface: int = 11
+    """Samples spread over the surface's range."""
+    near_m: float = 0.05
+    """Where a ray begins to be sampled."""
+    range_m: float = 0.1
+    """The surface's range is the measured depth, give or take this."""
+
+
+@dataclass(frozen=True)
+class LossWeights:
+    """Weights of the loss terms."""
+
+    rgb: float = 5.0
+    depth: float = 0.1
+    sdf: float = 200.0
+    free_space: float = 2.0
+    smoothness: float = 1e-3
+
+
+@dataclass(frozen=True)
+class BufferConfig:
+    """The replay buffer."""
+
+    capacity: int = 500_000
+    """Most samples held."""
+    keyframe_every: int = 5
+    """Every so many mapped frames, one becomes a keyframe."""
+    keyframe_samples: int = 15_360
+    """Pixels kept of a keyframe."""
+    place_m: float = 0.25
+    """Side of the cells among which the buffer shares out its samples."""
+
+
+@dataclass(frozen=True)
+class MapperConfig:
+    """Everything that decides what the mapper learns, seed aside."""
+
+    field: FieldConfig = FieldConfig()
+    sampling: SamplingConfig = SamplingConfig()
+    weights: LossWeights = LossWeights()
+    buffer: BufferConfig = BufferConfig()
+    beta: float = 1.0
+    """Weight of a replayed ray against one of the current frame (paper, Eq. 2)."""
+    learning_rate: float = 1e-2
+    """Adam's, for table and decoders."""
+    smoothness_points: int = 8
+    """Points along an axis of the lattice that the smoothness loss looks at."""
+    smoothness_spacing_m: float = 0.1
+    """Distance between them."""

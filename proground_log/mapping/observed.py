@@ -1,0 +1,57 @@
+"""Where the sensor saw a surface: the part of the map that is more than a guess."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import binary_dilation
+
+from proground_log.bounds import Bounds
+from proground_log.camera import transform
+from proground_log.frame import Frame
+
+VOXEL_M = 0.05
+PIXEL_STRIDE = 4
+"""Every so many pixels each way are looked at: at 5 m they are 4 cm apart, within a voxel."""
+
+
+class ObservedSurface:
+    """Voxels of the bounds in which a depth was measured.
+
+    Args:
+        bounds: the box.
+    """
+
+    def __init__(self, bounds: Bounds) -> None:
+        self.bounds = bounds
+        shape = np.ceil(bounds.size_m / VOXEL_M).astype(int)
+        self.voxels = np.zeros(shape, dtype=bool)
+
+    def add(self, frame: Frame) -> None:
+        """Mark where the frame's depth lies."""
+        some = np.s_[PIXEL_STRIDE // 2 :: PIXEL_STRIDE, PIXEL_STRIDE // 2 :: PIXEL_STRIDE]
+        depth_m = frame.depth_m[some]
+        points_m = (frame.camera.directions[some] * depth_m[..., None])[depth_m > 0]
+        points_m = transform(frame.world_from_camera, points_m)
+        cells = self._cells(points_m[self.bounds.contains(points_m)])
+        self.voxels[tuple(cells.T)] = True
+
+    def near_lattice(self, axes_m: list[np.ndarray]) -> np.ndarray:
+        """Which points of a lattice lie in a marked voxel or a neighbour of one.
+
+        Args:
+            axes_m: the lattice's coordinates along x, y and z.
+
+        Returns:
+            bool [len(x), len(y), len(z)].
+        """
+        grown = binary_dilation(self.voxels, np.ones((3, 3, 3)))
+        lower_m, most = self.bounds.lower_m, np.array(self.voxels.shape) - 1
+        cells = [
+            np.floor((axis_m - lower_m[i]) / VOXEL_M).astype(np.int64).clip(0, most[i])
+            for i, axis_m in enumerate(axes_m)
+        ]
+        return np.asarray(grown[np.ix_(*cells)])
+
+    def _cells(self, points_m: np.ndarray) -> np.ndarray:
+        cells = np.floor((points_m - self.bounds.lower_m) / VOXEL_M).astype(np.int64)
+        return cells.clip(0, np.array(self.voxels.shape) - 1)

@@ -1,0 +1,225 @@
+"""The online mapper: one frame after the other into the field (paper 4.3, Eq. 2).
+
+It knows no clock, no file and no viewer.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from proground_log.bounds import Bounds
+from proground_log.events import KeyframeInserted
+from proground_log.field.losses import color_loss, depth_loss, sdf_losses, smoothness_loss
+from proground_log.field.neural_field import NeuralField
+from proground_log.field.rendering import before_surface, composite, sdf_weights
+from proground_log.field.sampling import sample_depths
+from proground_log.frame import Frame
+from proground_log.mapping.config import MapperConfig
+from proground_log.mapping.observed import ObservedSurface
+from proground_log.mapping.replay_buffer import RaySamples, ReplayBuffer, ray_samples
+from proground_log.streams import stream
+
+ADAM_BETAS = (0.9, 0.99)
+TABLE_EPSILON = 1e-15
+DECODER_WEIGHT_DECAY = 1e-6
+
+
+@dataclass(frozen=True)
+class StepResult:
+    """What a step did; see `events.StepDone`."""
+
+    losses: dict[str, float]
+    draws_digest: str
+    rays_current: int
+    rays_replayed: int
+
+
+class OnlineMapper:
+    """Learns the field from a stream of posed frames, remembering the past in a replay buffer.
+
+    Args:
+        config: settings.
+        bounds: the box to map; what lies outside is masked.
+        seed: of every random draw.
+        device: "cpu" or "cuda".
+    """
+
+    def __init__(self, config: MapperConfig, bounds: Bounds, seed: int, device: str) -> None:
+        self.config, self.bounds, self.seed = config, bounds, seed
+        self.device = torch.device(device)
+        self.field = NeuralField(config.field, bounds, seed).to(self.device)
+        self.buffer = ReplayBuffer(config.buffer.capacity, config.buffer.place_m)
+        self.observed = ObservedSurface(bounds)
+        decoders = list(self.field.decoders.parameters())
+        self.optimiser = torch.optim.Adam(
+            [
+                {"params": [self.field.table], "eps": TABLE_EPSILON},
+                {"params": decoders, "weight_decay": DECODER_WEIGHT_DECAY},
+            ],
+            lr=config.learning_rate,
+            betas=ADAM_BETAS,
+            fused=True,
+        )
+        self._frame: Frame | None = None
+        self._pixels = np.zeros(0, np.int64)
+        self._mapped = 0
+        self._iteration = 0
+
+    def insert(self, frame: Frame) -> KeyframeInserted | None:
+        """Make `frame` the current one; every so many frames it becomes a keyframe."""
+        self._frame, self._iteration = frame, 0
+        self.observed.add(frame)
+        usable = (frame.depth_m > 0) & frame.color_valid
+        candidates = np.flatnonzero(usable)
+        points_m = ray_samples(frame, candidates).points_m()
+        self._pixels = candidates[self.bounds.contains(points_m)]
+        is_keyframe = self._mapped % self.config.buffer.keyframe_every == 0
+        self._mapped += 1
+        if not is_keyframe or not len(self._pixels):
+            return None
+        random = stream(self.seed, "buffer", frame.index)
+        count = min(self.config.buffer.keyframe_samples, len(self._pixels))
+        chosen = np.sort(random.choice(self._pixels, size=count, replace=False))
+        evicted = self.buffer.insert(frame.index, ray_samples(frame, chosen), random)
+        return KeyframeInserted(frame.index, inserted=count, evicted=evicted)
+
+    def step(self) -> StepResult | None:
+        """One optimisation step; None where neither the frame nor the buffer has a sample."""
+        if self._frame is None or not (len(self._pixels) or len(self.buffer)):
+            return None
+        rays, current, draws = self._draw_rays()
+        sampling = self.config.sampling
+        random = stream(self.seed, "jitter", self._frame.index, self._iteration)
+        samples = sampling.uniform + sampling.near_surface
+        jitter = random.random((len(rays), samples), dtype=np.float32)
+        corner = random.random(3, dtype=np.float32)
+        depths_m = sample_depths(
+            rays.depth_m,
+            uniform=sampling.uniform,
+            near_surface=sampling.near_surface,
+            near_m=sampling.near_m,
+            range_m=sampling.range_m,
+            jitter=jitter,
+        )
+        terms = self._losses(rays, depths_m, current, corner)
+        weights = self.config.weights
+        total = torch.stack([getattr(weights, name) * term for name, term in terms.items()]).sum()
+        self.optimiser.zero_grad(set_to_none=True)
+        total.backward()
+        self.optimiser.step()
+        self._iteration += 1
+        values = torch.stack([*terms.values(), total]).detach().cpu().tolist()
+        digest = hashlib.sha256()
+        for draw in (*draws, jitter, corner):
+            digest.update(draw.tobytes())
+        return StepResult(
+            losses=dict(zip([*terms, "total"], values, strict=True)),
+            draws_digest=digest.hexdigest(),
+            rays_current=current,
+            rays_replayed=len(rays) - current,
+        )
+
+    def _draw_rays(self) -> tuple[RaySamples, int, list[np.ndarray]]:
+        """The step's rays, those of the current frame first, their number, and the draws."""
+        assert self._frame is not None
+        sampling = self.config.sampling
+        random = stream(self.seed, "rays", self._frame.index, self._iteration)
+        current = sampling.rays
+        if not len(self._pixels):
+            current = 0
+        elif len(self.buffer):
+            current = round(sampling.rays * sampling.current_share)
+        draws = []
+        rays = RaySamples.empty()
+        if current:
+            draws.append(random.integers(0, len(self._pixels), size=current))
+            rays = ray_samples(self._frame, self._pixels[draws[-1]])
+        if current < sampling.rays:
+            draws.append(random.integers(0, len(self.buffer), size=sampling.rays - current))
+            rays = RaySamples.concatenate(rays, self.buffer.take(draws[-1]))
+        return rays, current, draws
+
+    def _losses(
+        self, rays: RaySamples, depths_m: np.ndarray, current: int, corner: np.ndarray
+    ) -> dict[str, Tensor]:
+        count, samples = depths_m.shape
+        tr_m = self.config.field.truncation_m
+        to = self.device
+        z_m = torch.from_numpy(depths_m).to(to)
+        origins_m = torch.from_numpy(rays.origins_m).to(to)
+        directions = torch.from_numpy(rays.directions).to(to)
+        observed_m = torch.from_numpy(rays.depth_m).to(to)
+        observed_color = torch.from_numpy(rays.colors).to(to).float() / 255
+        points_m = origins_m[:, None] + directions[:, None] * z_m[..., None]
+        points, inside = self.field.normalise(points_m.reshape(-1, 3))
+        inside = inside.reshape(count, samples)
+        sdf, color, _ = self.field(points)
+        sdf = sdf.reshape(count, samples)
+        weights = sdf_weights(sdf, inside & before_surface(sdf.detach(), z_m, tr_m))
+        rendered = composite(weights, color.reshape(count, samples, 3))
+        rendered_m = (weights * z_m).sum(dim=1)
+        ray_weights = torch.full((count,), self.config.beta, device=to)
+        ray_weights[:current] = 1.0
+        sdf_term, free_term = sdf_losses(sdf, z_m, observed_m, inside, ray_weights, tr_m)
+        return {
+            "rgb": color_loss(rendered, observed_color, ray_weights),
+            "depth": depth_loss(rendered_m, observed_m, ray_weights),
+            "sdf": sdf_term,
+            "free_space": free_term,
+            "smoothness": smoothness_loss(self._lattice_features(corner)),
+        }
+
+    def _lattice_features(self, corner: np.ndarray) -> Tensor:
+        """Hash features on a small lattice at a random place in the bounds, [P, P, P, C]."""
+        points = self.config.smoothness_points
+        spacing = torch.from_numpy(
+            (self.config.smoothness_spacing_m / self.bounds.size_m).astype(np.float32)
+        )
+        extent = spacing * (points - 1)
+        start = torch.from_numpy(corner) * (1 - extent).clamp_min(0)
+        axis = torch.arange(points, dtype=torch.float32)
+        grid = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), dim=-1)
+        lattice = (start + grid * spacing).clamp(0, 1).reshape(-1, 3).contiguous().to(self.device)
+        features = self.field.hash_features(lattice)
+        return features.reshape(points, points, points, -1)
+
+    def state(self) -> dict[str, np.ndarray]:
+        """All that the next frame builds on, by name: "field/...", "optimiser/...", ...
+
+        Views, not copies: good until the next step or frame.
+        """
+        tensors = {f"field/{name}": p.detach() for name, p in self.field.named_parameters()}
+        for number, moments in self.optimiser.state_dict()["state"].items():
+            for name, value in moments.items():
+                tensors[f"optimiser/{number}/{name}"] = value
+        state = {name: tensor.cpu().numpy() for name, tensor in tensors.items()}
+        state |= {f"buffer/{name}": array for name, array in self.buffer.state().items()}
+        state["observed/voxels"] = np.packbits(self.observed.voxels)
+        state["mapped"] = np.array([self._mapped])
+        return state
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Go back to what `state` returned, after the last step of a frame."""
+        parts: dict[str, dict[str, np.ndarray]] = {"field": {}, "optimiser": {}, "buffer": {}}
+        for name, array in state.items():
+            part, _, rest = name.partition("/")
+            parts.setdefault(part, {})[rest] = array
+        with torch.no_grad():
+            for name, parameter in self.field.named_parameters():
+                parameter.copy_(torch.from_numpy(parts["field"][name]))
+        saved = self.optimiser.state_dict()
+        saved["state"] = {}
+        for name, array in sorted(parts["optimiser"].items()):
+            number, _, moment = name.partition("/")
+            saved["state"].setdefault(int(number), {})[moment] = torch.from_numpy(array.copy())
+        self.optimiser.load_state_dict(saved)
+        self.buffer.restore(parts["buffer"])
+        voxels = np.unpackbits(state["observed/voxels"], count=self.observed.voxels.size)
+        self.observed.voxels = voxels.reshape(self.observed.voxels.shape).astype(bool)
+        self._mapped = int(state["mapped"][0])
+        self._frame = None

@@ -1,0 +1,102 @@
+"""The surface of a map as a coloured mesh, where the sensor saw it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from skimage.measure import marching_cubes
+
+from proground_log.errors import ProgroundError
+from proground_log.field.neural_field import NeuralField
+from proground_log.files import written_whole
+from proground_log.mapping.map_file import NeuralMap
+
+POINTS_AT_ONCE = 1 << 16
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles with colours.
+
+    Args:
+        vertices_m: float32 [V, 3], world axes.
+        faces: int32 [F, 3], counter-clockwise seen from free space.
+        normals: float32 [V, 3], unit length, towards free space.
+        colors: uint8 [V, 3] RGB.
+    """
+
+    vertices_m: np.ndarray
+    faces: np.ndarray
+    normals: np.ndarray
+    colors: np.ndarray
+
+
+@torch.no_grad()
+def extract_mesh(content: NeuralMap, voxel_m: float) -> Mesh:
+    """Marching cubes over the signed distances, near measured surface only.
+
+    Args:
+        content: the map.
+        voxel_m: distance between the points at which the field is asked.
+
+    Returns:
+        The mesh; with no vertices where nothing was seen.
+    """
+    field, observed = content.field, content.observed
+    lower_m, size_m = np.array(field.bounds.lower_m), field.bounds.size_m
+    counts = np.maximum(np.ceil(size_m / voxel_m).astype(int) + 1, 2)
+    axes = [lower_m[i] + np.arange(counts[i]) * voxel_m for i in range(3)]
+    near = observed.near_lattice(axes)
+    sdf = np.ones(counts, np.float32)
+    # One slab at a time, so that memory stays small at fine voxels.
+    for i in np.flatnonzero(near.any(axis=(1, 2))):
+        j, k = np.nonzero(near[i])
+        points_m = np.stack([np.full(len(j), axes[0][i]), axes[1][j], axes[2][k]], axis=-1)
+        sdf[i, j, k] = _ask(field, points_m, colors=False)
+    if not (near.any() and sdf[near].min() < 0 < sdf[near].max()):
+        nothing = np.zeros((0, 3), np.float32)
+        return Mesh(nothing, np.zeros((0, 3), np.int32), nothing, np.zeros((0, 3), np.uint8))
+    vertices, faces, normals, _ = marching_cubes(
+        sdf, level=0.0, spacing=(voxel_m,) * 3, mask=near, gradient_direction="ascent"
+    )
+    vertices_m = (vertices + lower_m).astype(np.float32)
+    colors = _ask(field, vertices_m, colors=True)
+    return Mesh(
+        vertices_m=vertices_m,
+        faces=faces.astype(np.int32),
+        normals=normals.astype(np.float32),
+        colors=(colors * 255).round().astype(np.uint8),
+    )
+
+
+def _ask(field: NeuralField, points_m: np.ndarray, *, colors: bool) -> np.ndarray:
+    """SDF [N] in truncations, or colour [N, 3] in [0, 1], at points [N, 3]."""
+    answers = []
+    for part_m in torch.from_numpy(points_m.astype(np.float32)).split(POINTS_AT_ONCE):
+        points, _ = field.normalise(part_m.to(field.table.device))
+        answers.append((field(points)[1] if colors else field.sdf(points)).cpu())
+    return torch.cat(answers).numpy()
+
+
+def write_ply(path: Path, mesh: Mesh) -> None:
+    """Write a mesh as binary PLY, whole or not at all."""
+    import trimesh
+
+    if not len(mesh.vertices_m):
+        raise ProgroundError(
+            "the map has no surface to export",
+            where=path,
+            todo="map more frames, or frames with depth within the bounds",
+        )
+    shape = trimesh.Trimesh(
+        vertices=mesh.vertices_m,
+        faces=mesh.faces,
+        vertex_normals=mesh.normals,
+        vertex_colors=mesh.colors,
+        process=False,
+    )
+    with written_whole(path) as temporary:
+        temporary.write_bytes(shape.export(file_type="ply"))

@@ -1,0 +1,260 @@
+"""The rerun recording of a replay: the sink that draws what the events say."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+
+from proground_log.camera import Camera
+from proground_log.events import (
+    Event,
+    FrameArrived,
+    FrameDone,
+    KeyframeInserted,
+    MeshExtracted,
+    RunFinished,
+    StateDigested,
+    StepDone,
+    ViewRendered,
+)
+from proground_log.files import disk_errors
+from proground_log.telemetry import images
+from proground_log.telemetry.blueprint import APPLICATION_ID, replay_blueprint
+from proground_log.telemetry.columns import Moment, ScalarColumns
+
+CAMERA_IMAGE_WIDTH = 320
+"""Width in pixels of the picture in the camera's frustum."""
+FRUSTUM_DEPTH_M = 0.3
+TRAJECTORY_COLOR = (90, 200, 250)
+HELD_OUT_COLOR = (255, 170, 60)
+TOTAL_COLOR = (255, 255, 255)
+TERM_COLORS = (
+    (86, 180, 233),
+    (230, 159, 0),
+    (0, 190, 135),
+    (240, 228, 66),
+    (213, 94, 0),
+    (204, 121, 167),
+    (110, 130, 255),
+)
+"""Okabe and Ito's palette, told apart by people with colour-blindness too, fit for black."""
+DIGEST_DIGITS = 16
+
+
+class TelemetrySink:
+    """Writes a rerun recording, its blueprint inside.
+
+    The trajectory is one strip of two points for each frame, on one entity, and the blueprint
+    shows all of them up to the cursor: the cost of a frame does not grow with the length of the
+    recording, and the path ends where the cursor stands.
+
+    Args:
+        path: the .rrd file to write.
+        recording_id: the same for all segments of a replay that was interrupted and resumed.
+        depth_far_m: depth at the end of the colour map, for all depth views of the recording.
+        steps_done: optimisation steps that earlier segments hold.
+        last_position_m: where the camera was at the end of the earlier segments, [3].
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        recording_id: str,
+        depth_far_m: float = 5.0,
+        steps_done: int = 0,
+        last_position_m: np.ndarray | None = None,
+    ) -> None:
+        self._path = path
+        self._depth_far_m = depth_far_m
+        self._last_position_m = last_position_m
+        self._now = Moment(frame=0, step=max(0, steps_done - 1), sim_time_ns=0)
+        self._camera: Camera | None = None
+        self._recording = open_recording(path, recording_id)
+        self._scalars = ScalarColumns(self._recording)
+        self._log_static("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+        self._styled: set[str] = set()
+
+    def on_event(self, event: Event) -> None:
+        """Draw one event."""
+        match event:
+            case FrameArrived():
+                self._on_frame_arrived(event)
+            case KeyframeInserted():
+                self._on_keyframe(event)
+            case StepDone():
+                self._on_step(event)
+            case FrameDone():
+                self._on_frame_done(event)
+            case StateDigested():
+                self._on_state_digested(event)
+            case ViewRendered():
+                self._on_view(event)
+            case MeshExtracted():
+                self._on_mesh(event)
+            case RunFinished():
+                self._log_static("summary", summary_document(event.summary))
+
+    def flush(self) -> None:
+        """Put all that was said so far on the disk: to be called before a checkpoint is taken."""
+        self._scalars.send()
+        with disk_errors(self._path):
+            self._recording.flush()
+
+    def close(self) -> None:
+        """Flush, and write the footer."""
+        self.flush()
+        self._recording.disconnect()
+
+    def _on_frame_arrived(self, event: FrameArrived) -> None:
+        frame = event.frame
+        self._now = Moment(frame.index, self._now.step, event.sim_time_ns)
+        if frame.camera != self._camera:
+            self._camera = frame.camera
+            self._log_static("world/camera", pinhole(frame.camera))
+        pose = frame.world_from_camera
+        self._log("world/camera", rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
+        self._log("world/camera", images.jpeg(images.fit_width(frame.color, CAMERA_IMAGE_WIDTH)))
+        self._log_trajectory(pose[:3, 3], held_out=event.held_out)
+        self._say(f"input {event.input_digest[:DIGEST_DIGITS]}", level="TRACE")
+        if event.held_out:
+            self._say(f"frame {frame.index} is held out for evaluation")
+
+    def _log_trajectory(self, position_m: np.ndarray, *, held_out: bool) -> None:
+        start_m = position_m if self._last_position_m is None else self._last_position_m
+        self._last_position_m = position_m
+        strip = rr.LineStrips3D(
+            [np.stack([start_m, position_m])],
+            colors=HELD_OUT_COLOR if held_out else TRAJECTORY_COLOR,
+            radii=rr.Radius.ui_points(1.5),
+        )
+        self._log("world/trajectory", strip)
+
+    def _on_keyframe(self, event: KeyframeInserted) -> None:
+        self._scalars.add("buffer/inserted", self._now, event.inserted)
+        self._scalars.add("buffer/evicted", self._now, event.evicted)
+        if event.evicted:
+            self._say(
+                f"keyframe {event.frame_index}: {event.inserted:,} samples in, "
+                f"{event.evicted:,} evicted",
+                level="DEBUG",
+            )
+
+    def _on_step(self, event: StepDone) -> None:
+        self._now = Moment(event.frame_index, event.step, event.sim_time_ns)
+        for name, value in event.losses.items():
+            self._style_loss(name)
+            self._scalars.add(f"loss/{name}", self._now, value)
+
+    def _style_loss(self, name: str) -> None:
+        """Give a term its colour when it first comes; the viewer's own are hard to tell apart."""
+        if name in self._styled:
+            return
+        terms = len(self._styled - {"total"})
+        color, width = TERM_COLORS[terms % len(TERM_COLORS)], 1.2
+        if name == "total":
+            color, width = TOTAL_COLOR, 2.5
+        self._styled.add(name)
+        self._log_static(f"loss/{name}", rr.SeriesLines(colors=color, widths=width, names=name))
+
+    def _on_frame_done(self, event: FrameDone) -> None:
+        self._now = Moment(event.frame_index, self._now.step, event.sim_time_ns)
+        buffer = event.buffer
+        figures = {
+            "samples": buffer.samples,
+            "share": buffer.samples / buffer.capacity,
+            "keyframes": buffer.keyframes,
+            "places": buffer.places,
+            "water_level": buffer.water_level,
+            "size_bytes": buffer.size_bytes,
+        }
+        for name, value in figures.items():
+            self._scalars.add(f"buffer/{name}", self._now, value)
+
+    def _on_state_digested(self, event: StateDigested) -> None:
+        lines = (f"{name}={event.digests[name]}\n" for name in sorted(event.digests))
+        digest = hashlib.sha256("".join(lines).encode()).hexdigest()
+        self._say(f"state after {event.step} steps: {digest[:DIGEST_DIGITS]}")
+
+    def _on_view(self, event: ViewRendered) -> None:
+        far_m = self._depth_far_m
+        self._log("view/input/color", images.jpeg(event.color))
+        self._log("view/input/depth", images.depth(event.depth_m, far_m))
+        self._log("view/rendered/color", images.jpeg(event.rendered_color))
+        self._log("view/rendered/depth", images.depth(event.rendered_depth_m, far_m))
+        color_error = images.color_error(event.color, event.rendered_color)
+        self._log("view/error/color", images.jpeg(color_error))
+        depth_error = images.depth_error(event.depth_m, event.rendered_depth_m)
+        self._log("view/error/depth", depth_error)
+
+    def _on_mesh(self, event: MeshExtracted) -> None:
+        mesh = rr.Mesh3D(
+            vertex_positions=event.vertices_m,
+            triangle_indices=event.faces,
+            vertex_normals=event.normals,
+            vertex_colors=event.colors,
+            # Seen from outside a room's walls and ceiling vanish, so that one looks in.
+            face_rendering=rr.components.MeshFaceRendering.Front,
+        )
+        self._log("world/map/color", mesh)
+
+    def _say(self, text: str, *, level: str = "INFO") -> None:
+        self._log("log", rr.TextLog(text, level=level))
+
+    def _log(self, entity: str, what: rr.AsComponents) -> None:
+        self._now.set_on(self._recording)
+        self._recording.log(entity, what)
+
+    def _log_static(self, entity: str, what: rr.AsComponents) -> None:
+        self._recording.log(entity, what, static=True)
+
+
+def open_recording(path: Path, recording_id: str) -> rr.RecordingStream:
+    """A recording that goes to a file, with the blueprint in it and no wall clock."""
+    # Properties would hold the time at which the recording began.
+    recording = rr.RecordingStream(APPLICATION_ID, recording_id=recording_id, send_properties=False)
+    recording.set_log_time_enabled(False)
+    recording.set_log_tick_enabled(False)
+    with disk_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+        recording.save(path, default_blueprint=replay_blueprint())
+    return recording
+
+
+def pinhole(camera: Camera) -> rr.Pinhole:
+    """The camera's frustum, for the picture that `CAMERA_IMAGE_WIDTH` shrinks."""
+    shown = camera.scaled_to_width(min(camera.width, CAMERA_IMAGE_WIDTH))
+    return rr.Pinhole(
+        focal_length=(shown.fx, shown.fy),
+        principal_point=(shown.cx, shown.cy),
+        resolution=(shown.width, shown.height),
+        camera_xyz=rr.ViewCoordinates.RDF,
+        image_plane_distance=FRUSTUM_DEPTH_M,
+        color=TRAJECTORY_COLOR,
+    )
+
+
+def summary_document(summary: dict[str, object]) -> rr.TextDocument:
+    """The summary as a markdown table; a nested record becomes a table of its own."""
+    plain = {name: value for name, value in summary.items() if not isinstance(value, dict)}
+    nested = {name: value for name, value in summary.items() if isinstance(value, dict)}
+    sections = ["# Summary\n" + _table(plain)]
+    sections += [f"## {name}\n" + _table(value) for name, value in nested.items()]
+    return rr.TextDocument("\n".join(sections), media_type=rr.MediaType.MARKDOWN)
+
+
+def _table(figures: dict[str, object]) -> str:
+    rows = (f"| {name.replace('_', ' ')} | {_cell(value)} |\n" for name, value in figures.items())
+    return "| figure | value |\n|---|---|\n" + "".join(rows)
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, bool) or value is None:
+        return str(value)
+    if isinstance(value, int):
+        return f"{value:,}"
+    return f"{value:.4g}" if isinstance(value, float) else str(value).replace("|", "\\|")

@@ -1,0 +1,42 @@
+"""A rig's calibration from a JSON file, to override what a format is known to have."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from proground_log.camera import Calibration, Camera, require_rigid
+from proground_log.errors import ProgroundError
+from proground_log.files import require_file
+
+EXAMPLE = (
+    '{"depth": {"width": 640, "height": 480, "fx": 585, "fy": 585, "cx": 320, "cy": 240}, '
+    '"color": {..., "distortion": [k1, k2, p1, p2, k3]}, "depth_from_color": [4 rows of 4]}'
+)
+
+
+def read_calibration(path: Path) -> Calibration:
+    """Read a calibration; principal points count pixel centres as whole numbers (OpenCV, ROS).
+
+    `color` defaults to the depth camera and `depth_from_color` to the identity: a registered rig.
+    """
+    try:
+        content = json.loads(require_file(path).read_text())
+        depth = _camera(content["depth"])
+        color = _camera(content["color"]) if "color" in content else depth
+        depth_from_color = np.array(content.get("depth_from_color", np.eye(4)), dtype=float)
+    except (ValueError, KeyError, TypeError) as error:
+        raise ProgroundError(
+            f"is not a calibration ({error!r})", where=path, todo=f"write it like {EXAMPLE}"
+        ) from error
+    return Calibration(color, depth, require_rigid(depth_from_color, where=path))
+
+
+def _camera(content: dict[str, Any]) -> Camera:
+    distortion = tuple(float(value) for value in content.get("distortion", ()))
+    width, height = int(content["width"]), int(content["height"])
+    fx, fy, cx, cy = (float(content[name]) for name in ("fx", "fy", "cx", "cy"))
+    return Camera.from_integer_centres(width, height, fx, fy, cx, cy, distortion)

@@ -1,0 +1,169 @@
+"""Image files: colour kept as bytes, depth and labels decoded; truncated files are refused."""
+
+from __future__ import annotations
+
+import io
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from PIL import Image, UnidentifiedImageError
+
+from proground_log.camera import Camera
+from proground_log.errors import ProgroundError
+from proground_log.files import require_file
+
+JPEG_START, JPEG_SCAN, JPEG_END = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
+PNG_END = b"\x00\x00\x00\x00IEND\xaeB`\x82"
+COPY_AGAIN = "copy the file from the data set again"
+
+
+@dataclass(frozen=True)
+class EncodedImage:
+    """An image file, not decoded.
+
+    Args:
+        data: the file's bytes.
+        format: "jpeg" or "png".
+        width, height: size in pixels, from the header.
+    """
+
+    data: bytes
+    format: str
+    width: int
+    height: int
+
+
+def numbered_files(folder: Path, pattern: str) -> dict[int, Path]:
+    """The files of a folder whose whole name matches, by the number in the pattern's group 1.
+
+    Args:
+        folder: where to look, not recursively.
+        pattern: a regular expression with the number as its first group.
+
+    Returns:
+        number -> path, ascending as numbers; empty where nothing matches.
+
+    Raises:
+        ProgroundError: there is no such folder, or two files have the same number.
+    """
+    if not folder.is_dir():
+        raise ProgroundError("no such folder", where=folder, todo="check the path")
+    found: dict[int, Path] = {}
+    for path in sorted(folder.iterdir()):
+        match = re.fullmatch(pattern, path.name)
+        if match is None:
+            continue
+        number = int(match[1])
+        if number in found:
+            raise ProgroundError(
+                f"has the same number as {found[number].name}",
+                where=path,
+                todo="remove the one that does not belong to the recording",
+            )
+        found[number] = path
+    return dict(sorted(found.items()))
+
+
+def read_encoded(path: Path) -> EncodedImage:
+    """Read a JPEG or PNG file without decoding it.
+
+    Raises:
+        ProgroundError: the file is missing, is neither format, or is cut short.
+    """
+    data = require_file(path).read_bytes()
+    try:
+        with Image.open(io.BytesIO(data)) as image:
+            kind, (width, height) = image.format, image.size
+    except (UnidentifiedImageError, OSError, SyntaxError) as error:
+        raise ProgroundError("is not a readable image", where=path, todo=COPY_AGAIN) from error
+    if kind not in ("JPEG", "PNG"):
+        raise ProgroundError(
+            f"is a {kind} image", where=path, todo="convert the images to JPEG or PNG"
+        )
+    # Whatever follows the end marker (zero padding, a trailer) is kept: decoders ignore it.
+    is_whole = _jpeg_is_whole(data) if kind == "JPEG" else _png_is_whole(data)
+    if not is_whole:
+        raise ProgroundError(f"the {kind} image is cut short", where=path, todo=COPY_AGAIN)
+    return EncodedImage(data, kind.lower(), width, height)
+
+
+def read_color(path: Path, camera: Camera) -> EncodedImage:
+    """Read a colour file without decoding it; raise a ProgroundError unless it fits the camera."""
+    image = read_encoded(path)
+    _require_size(path, (image.width, image.height), camera)
+    return image
+
+
+def read_depth(path: Path, camera: Camera) -> np.ndarray:
+    """Decode a depth PNG to uint16 [H, W], in the file's own unit.
+
+    Raises:
+        ProgroundError: the file is missing, cut short, broken, not 16-bit with one channel, or
+            of another size than the camera's.
+    """
+    depth = _decode_png(path)
+    if depth.dtype != np.uint16 or depth.ndim != 2:
+        channels = 1 if depth.ndim == 2 else depth.shape[2]
+        raise ProgroundError(
+            f"is not a depth image: {8 * depth.dtype.itemsize} bits, {channels} channel(s)",
+            where=path,
+            todo="depth has to be a PNG of 16 bits and one channel",
+        )
+    _require_size(path, (depth.shape[1], depth.shape[0]), camera)
+    return depth
+
+
+def read_labels(path: Path, camera: Camera) -> np.ndarray:
+    """Decode a class image (PNG, 8 or 16 bits, one channel) to uint16 [H, W].
+
+    Raises:
+        ProgroundError: as `read_depth`.
+    """
+    labels = _decode_png(path)
+    if labels.ndim != 2:
+        raise ProgroundError(
+            f"is not a class image: it has {labels.shape[2]} channels",
+            where=path,
+            todo="classes have to be a PNG of 8 or 16 bits and one channel",
+        )
+    _require_size(path, (labels.shape[1], labels.shape[0]), camera)
+    return labels.astype(np.uint16)
+
+
+def _decode_png(path: Path) -> np.ndarray:
+    data = require_file(path).read_bytes()
+    if not _png_is_whole(data):
+        raise ProgroundError(
+            "is not a whole PNG image (no end marker)", where=path, todo=COPY_AGAIN
+        )
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise ProgroundError("the PNG image cannot be decoded", where=path, todo=COPY_AGAIN)
+    return np.asarray(image)
+
+
+def _jpeg_is_whole(data: bytes) -> bool:
+    """Whether an end marker follows the first scan: a thumbnail, with its own, comes before."""
+    at = len(JPEG_START)
+    while data[at : at + 1] == b"\xff":
+        if data[at : at + 2] == JPEG_SCAN:
+            return data.rfind(JPEG_END) > at
+        is_fill = data[at + 1 : at + 2] == b"\xff"
+        at += 1 if is_fill else 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+    return False
+
+
+def _png_is_whole(data: bytes) -> bool:
+    return PNG_END in data[-4096:] or PNG_END in data
+
+
+def _require_size(path: Path, size: tuple[int, int], camera: Camera) -> None:
+    if size != (camera.width, camera.height):
+        raise ProgroundError(
+            f"is {size[0]}x{size[1]}, but the calibration is for {camera.width}x{camera.height}",
+            where=path,
+            todo="pass the calibration of these images, or remove the ones that do not belong",
+        )

@@ -1,0 +1,55 @@
+"""Recording: a source becomes a log."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from proground_log.files import require_free
+from proground_log.frame import Selection
+from proground_log.log.recording import Recording
+from proground_log.log.writer import open_writer
+from recorders.bounds import BoundsEstimator
+from recorders.source import Source
+
+
+def record(
+    source: Source,
+    source_name: str,
+    output: Path,
+    selection: Selection,
+    *,
+    overwrite: bool,
+    progress: Callable[[int, int], None],
+) -> Recording:
+    """Write the selected frames of a source into a log, one at a time.
+
+    Args:
+        source: the data set.
+        source_name: what the log calls it.
+        output: the log; takes its name once it is whole.
+        selection: which frames.
+        overwrite: replace a log that is there.
+        progress: told the frames written and the frames in all.
+
+    Returns:
+        What the log says about itself.
+    """
+    require_free(output, overwrite=overwrite)
+    chosen = selection.of(len(source))
+    estimator = BoundsEstimator()
+    with open_writer(output, source.calibration) as writer:
+        for done, index in enumerate(chosen, start=1):
+            frame = source.frame(index)
+            estimator.add(frame, source.calibration.depth)
+            writer.write(frame)
+            progress(done, len(chosen))
+        recording = Recording(
+            source=source_name,
+            format=source.name,
+            frames=writer.frames,
+            bounds=estimator.bounds(),
+            notes=source.notes,
+        )
+        writer.finish(recording, source.label_names, source.ground_truth_mesh())
+    return recording

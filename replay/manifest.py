@@ -1,0 +1,125 @@
+"""The manifest: what made a run."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import platform
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from proground_log import __version__
+from proground_log.errors import ProgroundError
+from proground_log.field.config import FieldConfig
+from proground_log.files import require_file, written_whole
+from proground_log.frame import Selection
+from proground_log.mapping.config import (
+    BufferConfig,
+    LossWeights,
+    MapperConfig,
+    SamplingConfig,
+)
+from replay.config import ReplayConfig, TelemetryConfig
+
+MANIFEST_VERSION = 1
+PACKAGES = ("mcap", "numba", "numpy", "opencv-python-headless", "scipy", "torch")
+"""Packages whose version can reach a result."""
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What made a run, and what came of it.
+
+    Args:
+        log_path: where the log was.
+        log_sha256: its bytes' fingerprint.
+        config: the settings.
+        code_version: of proground-log.
+        packages: versions of those that can reach a result.
+        machine: processor, its capability as torch sees it, and device.
+        threads: threads computed on; does not reach a result.
+        result: the summary, once the run is complete.
+    """
+
+    log_path: str
+    log_sha256: str
+    config: ReplayConfig
+    code_version: str
+    packages: dict[str, str]
+    machine: dict[str, str]
+    threads: int
+    result: dict[str, object] | None = None
+
+    @classmethod
+    def of(cls, log_path: Path, config: ReplayConfig, device: str) -> Manifest:
+        """The manifest of a run that is about to start on this machine."""
+        return cls(
+            log_path=str(log_path.resolve()),
+            log_sha256=file_sha256(log_path),
+            config=config,
+            code_version=__version__,
+            packages={name: version(name) for name in PACKAGES},
+            machine={
+                "processor": platform.machine(),
+                "capability": torch.backends.cpu.get_cpu_capability(),
+                "device": torch.cuda.get_device_name() if device == "cuda" else "cpu",
+            },
+            threads=torch.get_num_threads(),
+        )
+
+    def write(self, path: Path) -> None:
+        """Write it as JSON, whole or not at all."""
+        content = {"manifest_version": MANIFEST_VERSION, **dataclasses.asdict(self)}
+        with written_whole(path) as temporary:
+            temporary.write_text(json.dumps(content, indent=2) + "\n")
+
+    @classmethod
+    def read(cls, path: Path) -> Manifest:
+        """Read it back; raises a ProgroundError where it cannot be."""
+        require_file(path)
+        try:
+            content = json.loads(path.read_text())
+            found = content.pop("manifest_version")
+            if found != MANIFEST_VERSION:
+                raise ProgroundError(
+                    f"has manifest version {found}, this pglog reads {MANIFEST_VERSION}",
+                    where=path,
+                    todo="run the replay again with this version of pglog",
+                )
+            return cls(**{**content, "config": config_from_dict(content["config"])})
+        except (ValueError, KeyError, TypeError) as error:
+            raise ProgroundError(
+                f"cannot be read as a manifest ({error!r})", where=path, todo="run the replay again"
+            ) from error
+
+
+def config_from_dict(content: dict[str, Any]) -> ReplayConfig:
+    """The settings from what `dataclasses.asdict` made of them."""
+    mapper = content["mapper"]
+    return ReplayConfig(
+        **{
+            **content,
+            "selection": Selection(**content["selection"]),
+            "telemetry": TelemetryConfig(**content["telemetry"]),
+            "mapper": MapperConfig(
+                **{
+                    **mapper,
+                    "field": FieldConfig(**mapper["field"]),
+                    "sampling": SamplingConfig(**mapper["sampling"]),
+                    "weights": LossWeights(**mapper["weights"]),
+                    "buffer": BufferConfig(**mapper["buffer"]),
+                }
+            ),
+        }
+    )
+
+
+def file_sha256(path: Path) -> str:
+    """The sha256 of a file's bytes, hexadecimal."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()

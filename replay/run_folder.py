@@ -1,0 +1,122 @@
+"""A run on disk: the finished files, and what an unfinished run keeps to go on."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save_file
+
+from proground_log.errors import ProgroundError
+from proground_log.files import written_whole
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """Paths of a run; files under these names are whole, `.partial` ones are being written."""
+
+    path: Path
+
+    @property
+    def manifest(self) -> Path:
+        return self.path / "manifest.json"
+
+    @property
+    def ledger(self) -> Path:
+        return self.path / "ledger.jsonl"
+
+    @property
+    def map(self) -> Path:
+        return self.path / "map.safetensors"
+
+    @property
+    def telemetry(self) -> Path:
+        return self.path / "telemetry.rrd"
+
+    @property
+    def checkpoint(self) -> Path:
+        return self.path / "checkpoint.safetensors"
+
+    @property
+    def partial_ledger(self) -> Path:
+        return self.path / "ledger.jsonl.partial"
+
+    def telemetry_segments(self) -> list[Path]:
+        """Telemetry of an unfinished run, one file for each time it was started."""
+        return sorted(self.path.glob("telemetry.*.rrd.partial"))
+
+    def next_telemetry_segment(self) -> Path:
+        """Name for the telemetry from now on."""
+        return self.path / f"telemetry.{len(self.telemetry_segments()):03}.rrd.partial"
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether the replay came to its end."""
+        return self.map.is_file()
+
+    def require_finished(self) -> RunFolder:
+        """Return self; raise a ProgroundError unless this is the folder of a finished run."""
+        if not self.path.is_dir():
+            raise ProgroundError("no such run", where=self.path, todo="check the path")
+        if not self.is_finished:
+            todo = "finish it with `pglog replay LOG -o RUN --resume`"
+            if not self.manifest.is_file():
+                todo = "make one with `pglog replay LOG -o RUN`"
+            raise ProgroundError("is not a finished run", where=self.path, todo=todo)
+        return self
+
+    def clear(self) -> None:
+        """Remove every file of a run, finished or not."""
+        known = [self.manifest, self.ledger, self.map, self.telemetry, self.checkpoint]
+        for file in [*known, self.partial_ledger, *self.telemetry_segments()]:
+            file.unlink(missing_ok=True)
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """Where an unfinished run goes on.
+
+    Args:
+        arrived: frames that have arrived, mapped or held out.
+        mapped: frames mapped.
+        steps: steps done.
+        ledger_lines: lines of the ledger up to here.
+        start_ns: time of the first frame, where simulated time begins.
+        camera_m: where the camera was last.
+        seconds: machine time by stage so far.
+        state: the mapper's, by name.
+    """
+
+    arrived: int
+    mapped: int
+    steps: int
+    ledger_lines: int
+    start_ns: int
+    camera_m: list[float]
+    seconds: dict[str, float]
+    state: dict[str, np.ndarray]
+
+    def write(self, path: Path) -> None:
+        """Write it, whole or not at all."""
+        position = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "state"}
+        with written_whole(path) as temporary:
+            state = {name: np.ascontiguousarray(array) for name, array in self.state.items()}
+            save_file(state, temporary, {"position": json.dumps(position)})
+
+    @classmethod
+    def read(cls, path: Path) -> Checkpoint:
+        """Read it back."""
+        try:
+            with safe_open(path, framework="numpy") as file:
+                position = json.loads((file.metadata() or {})["position"])
+                state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        except (SafetensorError, KeyError, ValueError) as error:
+            raise ProgroundError(
+                f"cannot be read as a checkpoint ({error})",
+                where=path,
+                todo="start the run again with --overwrite",
+            ) from error
+        return cls(**position, state=state)

@@ -1,0 +1,44 @@
+"""What tests of several folders share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from proground_log.camera import transform
+from proground_log.frame import SensorFrame
+from recorders.source import Source
+
+SHARED_DATA = Path(__file__).parents[2] / "shared" / "data"
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of real data beside the repository."""
+    if not SHARED_DATA.is_dir():
+        pytest.skip(f"no real data in {SHARED_DATA}")
+    return SHARED_DATA
+
+
+@pytest.fixture(scope="session")
+def depth_agreement() -> Callable[[Source, SensorFrame, SensorFrame, float], float]:
+    """Share of the first frame's depth that the second one confirms within a tolerance (m)."""
+
+    def agreement(
+        source: Source, first: SensorFrame, second: SensorFrame, tolerance_m: float
+    ) -> float:
+        camera = source.calibration.depth
+        points = camera.unproject(first.depth_m)[first.depth_m > 0]
+        second_from_first = np.linalg.inv(second.world_from_camera) @ first.world_from_camera
+        points = transform(second_from_first, points.astype(np.float64))
+        points = points[points[:, 2] > 0.1]
+        columns, rows = np.floor(camera.project(points)).astype(int).T
+        inside = (columns >= 0) & (columns < camera.width) & (rows >= 0) & (rows < camera.height)
+        measured_m = second.depth_m[rows[inside], columns[inside]]
+        error_m = np.abs(measured_m - points[inside, 2])[measured_m > 0]
+        return float(np.mean(error_m < tolerance_m))
+
+    return agreement

@@ -1,0 +1,111 @@
+"""Opening runs and logs; the pictures need a Vulkan driver."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import telemetry_stream as stream
+
+from proground_log.bounds import Bounds
+from proground_log.camera import Calibration
+from proground_log.errors import ProgroundError
+from proground_log.frame import SensorFrame
+from proground_log.log.recording import Recording
+from proground_log.log.writer import open_writer
+from proground_log.telemetry.rerun_sink import TelemetrySink
+from proground_log.telemetry.viewer import screenshot, view
+
+VULKAN_DRIVERS = [*Path("/usr/share/vulkan/icd.d").glob("*.json")]
+
+
+def test_what_is_neither_log_nor_run_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ProgroundError, match=r"has no telemetry\.rrd"):
+        view([tmp_path])
+    (tmp_path / "notes.txt").touch()
+    with pytest.raises(ProgroundError, match="neither a log nor a run"):
+        view([tmp_path / "notes.txt"])
+    with pytest.raises(ProgroundError, match="no such file"):
+        view([tmp_path / "absent.mcap"])
+    (tmp_path / "broken.mcap").write_text("not a log")
+    with pytest.raises(ProgroundError, match="rerun cannot read it"):
+        view([tmp_path / "broken.mcap"])
+
+
+needs_vulkan = pytest.mark.skipif(
+    not VULKAN_DRIVERS, reason="no Vulkan driver (mesa-vulkan-drivers)"
+)
+
+
+def assert_drawn(
+    picture: Path, views: dict[str, tuple[float, float, float, float]], *, share: float = 0.1
+) -> None:
+    """Fail unless each view (left, right, top, bottom, of 1) is colourful in that share of it.
+
+    The viewer's own frames, texts and grids are grey: an empty view measures below 0.008, while
+    its contrast alone would pass for a picture.
+    """
+    image = cv2.cvtColor(cv2.imread(str(picture)), cv2.COLOR_BGR2HSV)
+    height, width = image.shape[:2]
+    for name, (left, right, top, bottom) in views.items():
+        rows = slice(int(top * height), int(bottom * height))
+        cell = image[rows, int(left * width) : int(right * width)]
+        colourful = ((cell[..., 1] > 90) & (cell[..., 2] > 60)).mean()
+        assert colourful > share, f"the view of the {name} is empty ({colourful:.4f})"
+
+
+@needs_vulkan
+def test_a_run_shows_what_matters_without_a_click(tmp_path: Path) -> None:
+    sink = TelemetrySink(tmp_path / "telemetry.rrd", recording_id="run")
+    for event in stream.of_frames(range(3)):
+        sink.on_event(event)
+    sink.on_event(stream.FINISHED)
+    sink.close()
+    picture = tmp_path / "viewer.png"
+    assert screenshot([tmp_path], picture, (1000, 625)) == []
+    assert_drawn(
+        picture,
+        {
+            "map": (0.02, 0.45, 0.10, 0.68),
+            "input colour": (0.46, 0.63, 0.14, 0.34),
+            "rendered colour": (0.64, 0.81, 0.14, 0.34),
+            "colour error": (0.83, 0.99, 0.14, 0.34),
+            "input depth": (0.46, 0.63, 0.50, 0.66),
+            "rendered depth": (0.64, 0.81, 0.50, 0.66),
+            "depth error": (0.83, 0.99, 0.50, 0.66),
+        },
+    )
+    assert_drawn(picture, {"losses": (0.02, 0.36, 0.75, 0.94)}, share=0.01)
+
+
+@needs_vulkan
+def test_a_log_shows_depth_in_space_and_its_images(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    log = tmp_path / "tiny.mcap"
+    with open_writer(log, Calibration.registered(stream.CAMERA)) as writer:
+        for index in range(2):
+            pose = np.eye(4)
+            pose[:3, 3] = stream.position_m(index)
+            _, color = cv2.imencode(".png", rng.integers(0, 256, (48, 64, 3), dtype=np.uint8))
+            depth = rng.integers(1000, 3000, (48, 64), dtype=np.uint16)
+            labels = (depth // 1000).astype(np.uint16)
+            time_ns = index * stream.FRAME_NS
+            frame = SensorFrame(
+                index, time_ns, time_ns, color.tobytes(), "png", depth, pose, labels
+            )
+            writer.write(frame)
+        bounds = Bounds((-4.0, -4.0, -4.0), (4.0, 4.0, 4.0))
+        writer.finish(Recording("tiny", "test", 2, bounds, {}), {1: "near", 2: "far"}, None)
+    picture = tmp_path / "viewer.png"
+    assert screenshot([log], picture, (800, 500)) == []
+    assert_drawn(
+        picture,
+        {
+            "scene": (0.00, 0.60, 0.15, 0.90),
+            "colour": (0.65, 1.00, 0.17, 0.32),
+            "depth": (0.65, 1.00, 0.45, 0.62),
+            "labels": (0.65, 1.00, 0.75, 0.92),
+        },
+    )
