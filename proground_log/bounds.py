@@ -33,4 +33,4 @@ class Bounds:
     def contains(self, points_m: np.ndarray) -> np.ndarray:
         """Which of the points [..., 3] lie inside, bool [...]."""
         inside = (points_m >= self.lower_m) & (points_m <= self.upper_m)
-        return inside.all(axis=-1)
+        return np.asarray(inside.all(axis=-1))

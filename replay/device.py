@@ -40,4 +40,4 @@ def set_threads(threads: int | None) -> None:
             f"{threads} threads cannot compute", where="--threads", todo="use 1 or more"
         )
     torch.set_num_threads(threads)
-    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+    numba.set_num_threads(min(threads, numba.get_num_threads()))

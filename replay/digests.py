@@ -13,13 +13,13 @@ def frame_digest(frame: Frame) -> str:
     """sha256 over all that a mapper gets to see of a frame, hexadecimal."""
     digest = hashlib.sha256()
     for array in (frame.world_from_camera, frame.depth_m, frame.color, frame.color_valid):
-        digest.update(np.ascontiguousarray(array))
+        digest.update(np.ascontiguousarray(array).data)
     return digest.hexdigest()
 
 
 def state_digests(state: dict[str, np.ndarray]) -> dict[str, str]:
     """sha256 of each array's bytes, by name, shortened to 32 hexadecimal digits."""
     return {
-        name: hashlib.sha256(np.ascontiguousarray(array)).hexdigest()[:32]
+        name: hashlib.sha256(np.ascontiguousarray(array).data).hexdigest()[:32]
         for name, array in sorted(state.items())
     }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from io import BytesIO
 from pathlib import Path
 
 from proground_log.errors import ProgroundError
@@ -12,7 +11,7 @@ from proground_log.log.reader import LogReader
 from proground_log.log.registration import Registration
 from proground_log.log.topics import MESH_ATTACHMENT
 from proground_log.mapping.map_file import load_map
-from proground_log.query.surface import extract_mesh
+from proground_log.query.surface import extract_mesh, read_ply_vertices
 from replay.config import ReplayConfig
 from replay.manifest import Manifest, file_sha256
 from replay.run_folder import RunFolder
@@ -42,8 +41,6 @@ def evaluate_run(
     Returns:
         Scores by name; see `view_summary` and `mesh_scores`, and "map_mb".
     """
-    import trimesh
-
     run = RunFolder(run_path).require_finished()
     manifest = Manifest.read(run.manifest)
     reader = LogReader(log_path or Path(manifest.log_path))
@@ -69,7 +66,7 @@ def evaluate_run(
             progress(len(views), len(held_out))
         scores |= view_summary(views)
     if mesh_bytes is not None:
-        truth = trimesh.load(BytesIO(mesh_bytes), file_type="ply", process=False)
-        scores |= mesh_scores(extract_mesh(content, voxel_m).vertices_m, truth.vertices)
+        mesh = extract_mesh(content, voxel_m)
+        scores |= mesh_scores(mesh.vertices_m, read_ply_vertices(mesh_bytes))
     scores["map_mb"] = sum(content.sizes_bytes().values()) / 1e6
     return scores

@@ -30,7 +30,6 @@ from proground_log.events import (
     StepDone,
     ViewRendered,
 )
-from proground_log.field.view import render_view
 from proground_log.files import disk_errors, require_free
 from proground_log.frame import Frame
 from proground_log.log.reader import LogReader
@@ -72,8 +71,10 @@ def replay(
         watchers: given the number of frames to come, further sinks, such as a progress bar.
 
     Returns:
-        The manifest of the finished run, with its summary. Raises `ReplayStoppedError` when the user
-        stops it; the run can then be resumed.
+        The manifest of the finished run, with its summary.
+
+    Raises:
+        ReplayStoppedError: the user stopped it; the run can be resumed.
     """
     reader = LogReader(log_path)
     device = choose_device(config.device)
@@ -271,10 +272,7 @@ class Session:
     def _view(self, frame: Frame) -> ViewRendered:
         width = min(self._config.telemetry.view_width, frame.camera.width)
         camera = frame.camera.scaled_to_width(width)
-        near_m = self._config.mapper.sampling.near_m
-        color, depth_m = render_view(
-            self._mapper.field, camera, frame.world_from_camera, near_m=near_m
-        )
+        color, depth_m = self._map_so_far().render(camera, frame.world_from_camera)
         size = (camera.width, camera.height)
         seen = np.where(frame.color_valid[..., None], frame.color, np.uint8(0))
         return ViewRendered(

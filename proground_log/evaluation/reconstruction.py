@@ -8,14 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from proground_log.field.view import render_view
 from proground_log.frame import Frame
 from proground_log.mapping.map_file import NeuralMap
 
 FARTHEST_M = 5.0
 """Depth beyond this is not judged: the sensor's own error there is of the size of a map's."""
 COMPLETION_M = 0.05
-NEAR_M = 0.05
 
 
 @dataclass(frozen=True)
@@ -42,9 +40,7 @@ class ViewScore:
 
 def score_view(content: NeuralMap, frame: Frame) -> ViewScore:
     """Render the frame's view at full size, without its depth, and compare."""
-    color, depth_m = render_view(
-        content.field, frame.camera, frame.world_from_camera, near_m=NEAR_M
-    )
+    color, depth_m = content.render(frame.camera, frame.world_from_camera)
     measured = frame.depth_m > 0
     judged = measured & frame.color_valid
     error = (color.astype(np.float64) - frame.color)[judged] / 255
@@ -80,8 +76,8 @@ def mesh_scores(vertices_m: np.ndarray, true_vertices_m: np.ndarray) -> dict[str
         accuracy_cm: mean distance from a vertex to the nearest true one; completion_cm: the other
         way round; completion_percent: share of true vertices with one of the map within 5 cm.
     """
-    accuracy_m, _ = cKDTree(true_vertices_m).query(vertices_m)
-    completion_m, _ = cKDTree(vertices_m).query(true_vertices_m)
+    accuracy_m = np.asarray(cKDTree(true_vertices_m).query(vertices_m)[0])
+    completion_m = np.asarray(cKDTree(vertices_m).query(true_vertices_m)[0])
     return {
         "accuracy_cm": 100 * float(accuracy_m.mean()),
         "completion_cm": 100 * float(completion_m.mean()),

@@ -104,7 +104,10 @@ class _HashGridOnCpu(torch.autograd.Function):
         kernels.hash_grid_forward(
             points.numpy(),
             table.detach().numpy(),
-            *_kernel_layout(layout),
+            layout.scales,
+            layout.resolutions,
+            layout.offsets,
+            layout.masks,
             numba.get_num_threads(),
             features.numpy(),
         )
@@ -113,20 +116,20 @@ class _HashGridOnCpu(torch.autograd.Function):
         return features
 
     @staticmethod
-    def backward(ctx: Any, gradient: Tensor) -> tuple[None, Tensor, None]:  # type: ignore[override]
+    def backward(ctx: Any, gradient: Tensor) -> tuple[None, Tensor, None]:
         points, table = ctx.saved_tensors
+        layout = ctx.layout
         table_gradient = torch.zeros_like(table)
         kernels.hash_grid_backward(
             points.numpy(),
             gradient.contiguous().numpy(),
-            *_kernel_layout(ctx.layout),
+            layout.scales,
+            layout.resolutions,
+            layout.offsets,
+            layout.masks,
             table_gradient.numpy(),
         )
         return None, table_gradient, None
-
-
-def _kernel_layout(layout: HashGridLayout) -> tuple[np.ndarray, ...]:
-    return layout.scales, layout.resolutions, layout.offsets, layout.masks
 
 
 def hash_grid(points: Tensor, table: Tensor, layout: HashGridLayout) -> Tensor:
@@ -142,7 +145,7 @@ def hash_grid(points: Tensor, table: Tensor, layout: HashGridLayout) -> Tensor:
     """
     if points.is_cuda:
         return hash_grid_torch(points, table, layout)
-    features: Tensor = _HashGridOnCpu.apply(points, table, layout)
+    features: Tensor = _HashGridOnCpu.apply(points, table, layout)  # type: ignore[no-untyped-call]
     return features
 
 

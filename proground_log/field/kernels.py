@@ -16,7 +16,7 @@ PRIME_Z = np.uint32(805459861)
 _ONE, _HALF, _ZERO = np.float32(1.0), np.float32(0.5), np.float32(0.0)
 
 
-@numba.njit(inline="always")  # type: ignore[untyped-decorator]
+@numba.njit(inline="always")
 def _steps(iy, iz, resolution, dense):  # type: ignore[no-untyped-def]
     """What the lower and upper corners along y and z contribute to a row of the table."""
     side = np.uint32(resolution + np.uint32(1))
@@ -26,13 +26,13 @@ def _steps(iy, iz, resolution, dense):  # type: ignore[no-untyped-def]
     return y0, np.uint32(y0 + step_y), z0, np.uint32(z0 + step_z)
 
 
-@numba.njit(inline="always")  # type: ignore[untyped-decorator]
+@numba.njit(inline="always")
 def _row(x, y, z, mask, dense):  # type: ignore[no-untyped-def]
     """Row of a corner within its level's slice of the table."""
     return np.uint32(x + y + z) if dense else np.uint32((x ^ y ^ z) & mask)
 
 
-@numba.njit  # type: ignore[untyped-decorator]
+@numba.njit
 def _interpolate(points, start, stop, table, scale, resolution, mask, dense, first, features):  # type: ignore[no-untyped-def]
     """One level's two features of the points start to stop, into columns first and first + 1."""
     for n in range(start, stop):
@@ -53,7 +53,7 @@ def _interpolate(points, start, stop, table, scale, resolution, mask, dense, fir
         features[n, first + 1] = b
 
 
-@numba.njit  # type: ignore[untyped-decorator]
+@numba.njit
 def _scatter(points, gradient, scale, resolution, mask, dense, first, table_gradient):  # type: ignore[no-untyped-def]
     """Add one level's feature gradients, columns first and first + 1, into its table slice."""
     for n in range(points.shape[0]):
@@ -74,7 +74,7 @@ def _scatter(points, gradient, scale, resolution, mask, dense, first, table_grad
             table_gradient[row, 1] += weight * b
 
 
-@numba.njit(parallel=True, cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(parallel=True, cache=True)
 def hash_grid_forward(points, table, scales, resolutions, offsets, masks, stretches, features):  # type: ignore[no-untyped-def]
     """Interpolate the features of every level.
 
@@ -100,7 +100,7 @@ def hash_grid_forward(points, table, scales, resolutions, offsets, masks, stretc
                 )
 
 
-@numba.njit(parallel=True, cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(parallel=True, cache=True)
 def hash_grid_backward(points, gradient, scales, resolutions, offsets, masks, table_gradient):  # type: ignore[no-untyped-def]
     """Add the gradient of the features, float32 [N, 2 levels], into that of the table."""
     for level in numba.prange(scales.shape[0]):
@@ -112,7 +112,7 @@ def hash_grid_backward(points, gradient, scales, resolutions, offsets, masks, ta
             _scatter(points, gradient, scale, resolution, mask, False, 2 * level, part)
 
 
-@numba.njit(inline="always")  # type: ignore[untyped-decorator]
+@numba.njit(inline="always")
 def _quartic_cdf(u):  # type: ignore[no-untyped-def]
     """Integral of the quartic kernel from 0 to u; constant outside [-1, 1]."""
     u = min(max(u, -_ONE), _ONE)
@@ -120,7 +120,7 @@ def _quartic_cdf(u):  # type: ignore[no-untyped-def]
     return np.float32(15 / 16) * u * (_ONE - np.float32(2 / 3) * u2 + np.float32(0.2) * u2 * u2)
 
 
-@numba.njit(parallel=True, cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(parallel=True, cache=True)
 def one_blob_forward(points, bins, encoding):  # type: ignore[no-untyped-def]
     """Write the one-blob encoding, float32 [N, 3 bins], of points, float32 [N, 3] in [0, 1].
 

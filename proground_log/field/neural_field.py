@@ -61,13 +61,17 @@ class NeuralField(nn.Module):
         return hash_grid(points, self.table, self.layout)
 
     def forward(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Ask the field at normalised points [N, 3].
+        """Ask the field at normalised points [N, 3]; see `decode`."""
+        return self.decode(points, self.hash_features(points))
+
+    def decode(self, points: Tensor, hashed: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Decode normalised points [N, 3] and their hash features [N, 2 levels].
 
         Returns:
             SDF in units of the truncation [N], colour in [0, 1] [N, 3], and f_c [N, 32].
         """
         blob = one_blob(points)
-        geometry = self.decoders.geometry(self.hash_features(points), blob)
+        geometry = self.decoders.geometry(hashed, blob)
         color, color_features = self.decoders.color(geometry, blob)
         return geometry[:, 0], color, color_features
 

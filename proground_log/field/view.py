@@ -14,23 +14,60 @@ MARCH_FRACTION = 0.8
 """Part of the distance to the surface, as the field has it, that a march dares to go."""
 SHORTEST_STEP = 0.1
 """Shortest step of a march, in truncations."""
-MOST_STEPS = 160
+MOST_STEPS = 200
 SURFACE_SAMPLES = 16
 """Samples on each ray around the surface that the march found."""
-RAYS_AT_ONCE = 8192
+RAYS_AT_ONCE = 4096
+
+
+class EmptySpace:
+    """How far each voxel is from any surface that was seen, so that a march can leap.
+
+    Args:
+        distance_m: float32 [X, Y, Z], distance from any point of a voxel to the nearest seen
+            surface, or less.
+        lower_m: the lattice's lower corner, [3].
+        voxel_m: side of a voxel.
+        device: where to keep it.
+    """
+
+    def __init__(
+        self, distance_m: np.ndarray, lower_m: np.ndarray, voxel_m: float, device: torch.device
+    ) -> None:
+        self._distance_m = torch.from_numpy(distance_m.reshape(-1)).to(device)
+        self._lower_m = torch.from_numpy(lower_m.astype(np.float32)).to(device)
+        self._voxel_m = voxel_m
+        self._most = torch.tensor(distance_m.shape, device=device) - 1
+        self._strides = torch.tensor(
+            [distance_m.shape[1] * distance_m.shape[2], distance_m.shape[2], 1], device=device
+        )
+
+    def leap_m(self, points_m: Tensor) -> Tensor:
+        """How far from points [N, 3] in metres there is certainly nothing, [N]."""
+        cells = ((points_m - self._lower_m) / self._voxel_m).long()
+        cells = torch.minimum(cells.clamp_min(0), self._most)
+        return self._distance_m[(cells * self._strides).sum(dim=1)]
 
 
 @torch.no_grad()
 def render_view(
-    field: NeuralField, camera: Camera, world_from_camera: np.ndarray, *, near_m: float
+    field: NeuralField,
+    empty: EmptySpace,
+    camera: Camera,
+    world_from_camera: np.ndarray,
+    *,
+    near_m: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Render colour and depth as the camera would see the map.
 
     Each ray marches through the signed distances to the first change of sign and is then
-    rendered (Eq. 4) from samples one truncation to either side of it.
+    rendered (Eq. 4) from samples one truncation to either side of it. Space that is known to be
+    far from any seen surface is leapt over; a ray that finds nothing that way, because it looks
+    at what was never seen, marches again without leaping.
 
     Args:
-        field: the map.
+        field: the map's field.
+        empty: where nothing was seen.
         camera: its pinhole camera; the size of the result.
         world_from_camera: pose, float64 [4, 4].
         near_m: where the rays begin, in metres along z.
@@ -43,7 +80,10 @@ def render_view(
     rotation = world_from_camera[:3, :3].astype(np.float32)
     directions = torch.from_numpy(camera.directions.reshape(-1, 3) @ rotation.T).to(device)
     origin_m = torch.from_numpy(world_from_camera[:3, 3].astype(np.float32)).to(device)
-    parts = [_render_rays(field, origin_m, d, near_m) for d in directions.split(RAYS_AT_ONCE)]
+    parts = [
+        _render_rays(field, empty, origin_m, part, near_m)
+        for part in directions.split(RAYS_AT_ONCE)
+    ]
     colors, depths_m = (torch.cat(part) for part in zip(*parts, strict=True))
     image = (colors * 255).round().to(torch.uint8).reshape(camera.height, camera.width, 3)
     depth_m = depths_m.reshape(camera.height, camera.width)
@@ -51,10 +91,12 @@ def render_view(
 
 
 def _render_rays(
-    field: NeuralField, origin_m: Tensor, directions: Tensor, near_m: float
+    field: NeuralField, empty: EmptySpace, origin_m: Tensor, directions: Tensor, near_m: float
 ) -> tuple[Tensor, Tensor]:
     """Colour [R, 3] and depth [R] of the rays from one origin."""
-    surface_m = _march(field, origin_m, directions, near_m)
+    surface_m = _march(field, empty, origin_m, directions, near_m)
+    lost = surface_m.isinf().nonzero()[:, 0]
+    surface_m[lost] = _march(field, None, origin_m, directions[lost], near_m)
     colors = torch.zeros_like(directions)
     depths_m = torch.zeros_like(surface_m)
     hit = surface_m.isfinite().nonzero()[:, 0]
@@ -73,10 +115,17 @@ def _render_rays(
     return colors, depths_m
 
 
-def _march(field: NeuralField, origin_m: Tensor, directions: Tensor, near_m: float) -> Tensor:
+def _march(
+    field: NeuralField,
+    empty: EmptySpace | None,
+    origin_m: Tensor,
+    directions: Tensor,
+    near_m: float,
+) -> Tensor:
     """Depth in metres of the first change of sign along each ray [R]; infinite where none is."""
     tr_m = field.config.truncation_m
     near, far = _span(field, origin_m, directions, near_m)
+    length = directions.norm(dim=1)
     surface_m = torch.full_like(near, torch.inf)
     active = (near < far).nonzero()[:, 0]
     z_m = near[active]
@@ -84,16 +133,24 @@ def _march(field: NeuralField, origin_m: Tensor, directions: Tensor, near_m: flo
     for _ in range(MOST_STEPS):
         if not len(active):
             break
-        points, _ = field.normalise(origin_m + directions[active] * z_m[:, None])
-        sdf = field.sdf(points)
+        points_m = origin_m + directions[active] * z_m[:, None]
+        sdf = torch.ones_like(z_m)
+        step_m = torch.zeros_like(z_m)
+        if empty is not None:
+            step_m = empty.leap_m(points_m) / length[active]
+        close = (step_m <= tr_m).nonzero()[:, 0]
+        points, _ = field.normalise(points_m[close])
+        sdf[close] = field.sdf(points)
+        step_m[close] = (sdf[close] * MARCH_FRACTION).clamp(SHORTEST_STEP, 1.0) * tr_m
         crossed = sdf <= 0
         # Between the last sample outside and the first inside, the distance is taken as linear.
         share = previous_sdf / (previous_sdf - sdf).clamp_min(1e-6)
         crossing_m = previous_m + (z_m - previous_m) * share
         surface_m[active[crossed]] = crossing_m[crossed]
-        going = ~crossed & (z_m < far[active])
+        z_next_m = z_m + step_m
+        going = ~crossed & (z_next_m < far[active])
         active, previous_m, previous_sdf = active[going], z_m[going], sdf[going]
-        z_m = previous_m + (previous_sdf * MARCH_FRACTION).clamp(SHORTEST_STEP, 1.0) * tr_m
+        z_m = z_next_m[going]
     return surface_m
 
 

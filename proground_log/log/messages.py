@@ -93,7 +93,11 @@ DEFINITIONS = {
 }
 """Message definitions by type name."""
 
-_DEPTH_TYPES = {"16UC1": np.dtype("<u2"), "32FC1": np.dtype("<f4"), "mono16": np.dtype("<u2")}
+_PIXEL_TYPES: dict[str, np.dtype[Any]] = {
+    "16UC1": np.dtype("<u2"),
+    "32FC1": np.dtype("<f4"),
+    "mono16": np.dtype("<u2"),
+}
 
 
 def encoder(message_type: str) -> Callable[[object], bytes]:
@@ -125,7 +129,7 @@ def compressed_image(data: bytes, image_format: str, stamp_ns: int, frame_id: st
 def image(pixels: np.ndarray, encoding: str, stamp_ns: int, frame_id: str) -> object:
     """An Image of [H, W] pixels; `encoding` is one of 16UC1, 32FC1, mono16."""
     height, width = pixels.shape
-    pixels = np.ascontiguousarray(pixels, dtype=_DEPTH_TYPES[encoding])
+    pixels = np.ascontiguousarray(pixels, dtype=_PIXEL_TYPES[encoding])
     return SimpleNamespace(
         header=_header(stamp_ns, frame_id),
         height=height,
@@ -139,7 +143,7 @@ def image(pixels: np.ndarray, encoding: str, stamp_ns: int, frame_id: str) -> ob
 
 def image_pixels(message: Any, *, where: object) -> np.ndarray:
     """The pixels [H, W] of an Image; a read-only view of its bytes."""
-    dtype = _DEPTH_TYPES.get(message.encoding)
+    dtype = _PIXEL_TYPES.get(message.encoding)
     size = message.height * message.width * (dtype.itemsize if dtype else 0)
     if dtype is None or message.is_bigendian or len(message.data) != size:
         raise ProgroundError(

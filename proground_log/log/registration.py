@@ -43,7 +43,7 @@ class Registration:
                 todo="record the log again with the right calibration",
             )
         depth_m, labels = sensor.depth_m, sensor.labels
-        valid = np.ones(color.shape[:2], dtype=np.uint8)
+        valid: np.ndarray = np.ones(color.shape[:2], dtype=np.uint8)
         if self._depth_maps:
             depth_m = cv2.remap(depth_m, *self._depth_maps, cv2.INTER_NEAREST)
         if self._color_maps:
@@ -54,13 +54,13 @@ class Registration:
         if not self._calibration.is_registered:
             rays, k = self._camera.directions, self._calibration.color
             intrinsics = np.array([k.fx, k.fy, k.cx, k.cy])
-            pixels = _color_pixels(
+            columns, rows = _color_pixels(
                 depth_m, rays, self._color_from_depth, intrinsics, color.shape[0], color.shape[1]
             )
-            valid = cv2.remap(valid, pixels, None, cv2.INTER_NEAREST, borderValue=0)
-            color = cv2.remap(color, pixels, None, cv2.INTER_LINEAR, borderValue=0)
+            valid = cv2.remap(valid, columns, rows, cv2.INTER_NEAREST, borderValue=0)
+            color = cv2.remap(color, columns, rows, cv2.INTER_LINEAR, borderValue=0)
             if labels is not None:
-                labels = cv2.remap(labels, pixels, None, cv2.INTER_NEAREST, borderValue=0)
+                labels = cv2.remap(labels, columns, rows, cv2.INTER_NEAREST, borderValue=0)
         return Frame(
             index=sensor.index,
             stamp_ns=sensor.stamp_ns,
@@ -82,7 +82,7 @@ def _rectification(camera: Camera) -> tuple[np.ndarray, np.ndarray] | None:
     return x, y
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True)
 def _color_pixels(
     depth_m: np.ndarray,
     rays: np.ndarray,
@@ -91,14 +91,14 @@ def _color_pixels(
     height: int,
     width: int,
 ) -> np.ndarray:
-    """Where the colour camera sees each depth pixel, float32 [H, W, 2], centres at whole numbers.
+    """Column and row where the colour camera sees each depth pixel, float32 [2, H, W] for cv2.
 
-    (-9, -9) where there is no depth, where the colour camera does not look, and where it sees a
+    -9 where there is no depth, where the colour camera does not look, and where it sees a
     nearer surface instead.
     """
     rows, columns = depth_m.shape
     fx, fy, cx, cy = intrinsics
-    pixels = np.full((rows, columns, 2), -9.0, dtype=np.float32)
+    pixels = np.full((2, rows, columns), -9.0, dtype=np.float32)
     depth_in_color = np.zeros((rows, columns), dtype=np.float32)
     nearest_m = np.full((height, width), np.inf, dtype=np.float32)
     m = color_from_depth
@@ -115,16 +115,16 @@ def _color_pixels(
             v = fy * (m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]) / color_z + cy - 0.5
             if u < 0 or v < 0 or u > width - 1 or v > height - 1:
                 continue
-            pixels[row, column, 0] = u
-            pixels[row, column, 1] = v
+            pixels[0, row, column] = u
+            pixels[1, row, column] = v
             depth_in_color[row, column] = color_z
             i, j = int(v + 0.5), int(u + 0.5)
             nearest_m[i, j] = min(nearest_m[i, j], color_z)
     for row in range(rows):
         for column in range(columns):
-            if pixels[row, column, 0] < 0:
+            if pixels[0, row, column] < 0:
                 continue
-            i, j = int(pixels[row, column, 1] + 0.5), int(pixels[row, column, 0] + 0.5)
+            i, j = int(pixels[1, row, column] + 0.5), int(pixels[0, row, column] + 0.5)
             if depth_in_color[row, column] > nearest_m[i, j] + OCCLUSION_TOLERANCE_M:
-                pixels[row, column, :] = -9.0
+                pixels[:, row, column] = -9.0
     return pixels

@@ -13,13 +13,17 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
 from proground_log.bounds import Bounds
+from proground_log.camera import Camera
 from proground_log.errors import ProgroundError
 from proground_log.field.config import FieldConfig
 from proground_log.field.neural_field import NeuralField
+from proground_log.field.view import EmptySpace, render_view
 from proground_log.files import require_file, written_whole
-from proground_log.mapping.observed import ObservedSurface
+from proground_log.mapping.observed import VOXEL_M, ObservedSurface
 
 MAP_VERSION = "1"
+NEAR_M = 0.05
+"""Where a rendered ray begins, along z."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +37,18 @@ class NeuralMap:
 
     field: NeuralField
     observed: ObservedSurface
+
+    def render(
+        self, camera: Camera, world_from_camera: np.ndarray, *, near_m: float = NEAR_M
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Colour and depth as a camera would see the map; see `field.view.render_view`."""
+        empty = EmptySpace(
+            self.observed.distance_m(),
+            np.array(self.observed.bounds.lower_m),
+            VOXEL_M,
+            self.field.table.device,
+        )
+        return render_view(self.field, empty, camera, world_from_camera, near_m=near_m)
 
     def sizes_bytes(self) -> dict[str, int]:
         """Size of each part of the map."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import binary_dilation, distance_transform_edt
 
 from proground_log.bounds import Bounds
 from proground_log.camera import transform
@@ -44,13 +44,20 @@ class ObservedSurface:
         Returns:
             bool [len(x), len(y), len(z)].
         """
-        grown = binary_dilation(self.voxels, np.ones((3, 3, 3)))
+        grown = binary_dilation(self.voxels, np.ones((3, 3, 3), bool))
         lower_m, most = self.bounds.lower_m, np.array(self.voxels.shape) - 1
         cells = [
             np.floor((axis_m - lower_m[i]) / VOXEL_M).astype(np.int64).clip(0, most[i])
             for i, axis_m in enumerate(axes_m)
         ]
         return np.asarray(grown[np.ix_(*cells)])
+
+    def distance_m(self) -> np.ndarray:
+        """How far any point of a voxel is at least from a marked one, float32 [X, Y, Z]."""
+        between_centres = distance_transform_edt(~self.voxels) if self.voxels.any() else 0.0
+        # Two points of two voxels are nearer than the centres by a diagonal at most.
+        distance = np.maximum(between_centres - np.sqrt(3.0), 0.0) * VOXEL_M
+        return np.broadcast_to(distance, self.voxels.shape).astype(np.float32)
 
     def _cells(self, points_m: np.ndarray) -> np.ndarray:
         cells = np.floor((points_m - self.bounds.lower_m) / VOXEL_M).astype(np.int64)

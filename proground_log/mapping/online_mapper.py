@@ -158,7 +158,10 @@ class OnlineMapper:
         points_m = origins_m[:, None] + directions[:, None] * z_m[..., None]
         points, inside = self.field.normalise(points_m.reshape(-1, 3))
         inside = inside.reshape(count, samples)
-        sdf, color, _ = self.field(points)
+        lattice = self._lattice(corner)
+        # One call for both: each costs a gradient of the size of the whole table.
+        hashed = self.field.hash_features(torch.cat([points, lattice]))
+        sdf, color, _ = self.field.decode(points, hashed[: len(points)])
         sdf = sdf.reshape(count, samples)
         weights = sdf_weights(sdf, inside & before_surface(sdf.detach(), z_m, tr_m))
         rendered = composite(weights, color.reshape(count, samples, 3))
@@ -171,11 +174,13 @@ class OnlineMapper:
             "depth": depth_loss(rendered_m, observed_m, ray_weights),
             "sdf": sdf_term,
             "free_space": free_term,
-            "smoothness": smoothness_loss(self._lattice_features(corner)),
+            "smoothness": smoothness_loss(
+                hashed[len(points) :].unflatten(0, (self.config.smoothness_points,) * 3)
+            ),
         }
 
-    def _lattice_features(self, corner: np.ndarray) -> Tensor:
-        """Hash features on a small lattice at a random place in the bounds, [P, P, P, C]."""
+    def _lattice(self, corner: np.ndarray) -> Tensor:
+        """A small lattice at a random place in the bounds, [P * P * P, 3], normalised."""
         points = self.config.smoothness_points
         spacing = torch.from_numpy(
             (self.config.smoothness_spacing_m / self.bounds.size_m).astype(np.float32)
@@ -184,9 +189,7 @@ class OnlineMapper:
         start = torch.from_numpy(corner) * (1 - extent).clamp_min(0)
         axis = torch.arange(points, dtype=torch.float32)
         grid = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), dim=-1)
-        lattice = (start + grid * spacing).clamp(0, 1).reshape(-1, 3).contiguous().to(self.device)
-        features = self.field.hash_features(lattice)
-        return features.reshape(points, points, points, -1)
+        return (start + grid * spacing).clamp(0, 1).reshape(-1, 3).to(self.device)
 
     def state(self) -> dict[str, np.ndarray]:
         """All that the next frame builds on, by name: "field/...", "optimiser/...", ...

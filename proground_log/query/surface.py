@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import torch
+import trimesh
 from skimage.measure import marching_cubes
 
 from proground_log.errors import ProgroundError
@@ -83,8 +85,6 @@ def _ask(field: NeuralField, points_m: np.ndarray, *, colors: bool) -> np.ndarra
 
 def write_ply(path: Path, mesh: Mesh) -> None:
     """Write a mesh as binary PLY, whole or not at all."""
-    import trimesh
-
     if not len(mesh.vertices_m):
         raise ProgroundError(
             "the map has no surface to export",
@@ -98,5 +98,11 @@ def write_ply(path: Path, mesh: Mesh) -> None:
         vertex_colors=mesh.colors,
         process=False,
     )
-    with written_whole(path) as temporary:
-        temporary.write_bytes(shape.export(file_type="ply"))
+    with written_whole(path) as temporary, temporary.open("wb") as stream:
+        shape.export(stream, file_type="ply")
+
+
+def read_ply_vertices(content: bytes) -> np.ndarray:
+    """The vertices [V, 3] of a PLY mesh."""
+    mesh = trimesh.load_mesh(BytesIO(content), file_type="ply", process=False)
+    return np.asarray(mesh.vertices)
