@@ -78,7 +78,8 @@ class Camera:
         pixels = np.stack([u, v], axis=-1).reshape(-1, 1, 2).astype(np.float64)
         if any(self.distortion):
             k = self.k_integer_centres
-            xy = cv2.undistortPoints(pixels, k, np.array(self.distortion))
+            until = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-6)
+            xy = cv2.undistortPoints(pixels, k, np.array(self.distortion), criteria=until)
         else:
             xy = (pixels + 0.5 - (self.cx, self.cy)) / (self.fx, self.fy)
         xy = xy.reshape(self.height, self.width, 2)
@@ -151,8 +152,13 @@ def require_rigid(pose: np.ndarray, *, where: object) -> np.ndarray:
         raise ProgroundError("the pose has numbers that are not finite", where=where, todo=todo)
     rotation = pose[:3, :3]
     error = np.abs(rotation.T @ rotation - np.eye(3)).max()
-    if error > RIGID_TOLERANCE or np.linalg.det(rotation) < 0:
-        raise ProgroundError(
-            f"the pose is not rigid (its rotation is off by {error:.2g})", where=where, todo=todo
-        )
+    fault = ""
+    if error > RIGID_TOLERANCE:
+        fault = f"its rotation is off by {error:.2g}"
+    elif np.linalg.det(rotation) < 0:
+        fault = "it mirrors"
+    elif np.abs(pose[3] - (0, 0, 0, 1)).max() > RIGID_TOLERANCE:
+        fault = "its last row is not 0 0 0 1"
+    if fault:
+        raise ProgroundError(f"the pose is not rigid ({fault})", where=where, todo=todo)
     return pose

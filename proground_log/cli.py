@@ -7,7 +7,10 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -27,27 +30,35 @@ if TYPE_CHECKING:
 SAME, DIFFERENT, FAILED, STOPPED = 0, 1, 2, 130
 """Exit codes; STOPPED is what a shell expects after Ctrl-C."""
 
-out = Console()
+# Names of files are printed as they are: "[room]" is no markup, ":cat:" no picture.
+out = Console(markup=False, emoji=False, highlight=False)
 err = Console(stderr=True)
 
+Log = Annotated[Path, Positional, tyro.conf.arg(metavar="LOG")]
+Run = Annotated[Path, Positional, tyro.conf.arg(metavar="RUN")]
 Output = Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="PATH")]
 AsJson = Annotated[bool, tyro.conf.arg(name="json")]
+MaybeInt = Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")]
+MaybeFloat = Annotated[float | None, tyro.conf.arg(metavar="FLOAT", help_behavior_hint="")]
+MaybePath = Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")]
 app = tyro.extras.SubcommandApp()
 
 
 @app.command(name="record")
 def record_command(
-    format: Positional[str],
-    source: Positional[Path | None] = None,
+    format: Annotated[str, Positional, tyro.conf.arg(metavar="FORMAT")],
+    source: Annotated[
+        Path | None, Positional, tyro.conf.arg(metavar="[SOURCE]", help_behavior_hint="")
+    ] = None,
     *,
     output: Output,
     start: int = 0,
-    stop: int | None = None,
+    stop: MaybeInt = None,
     stride: int = 1,
-    calibration: Path | None = None,
-    max_time_difference_s: float | None = None,
-    seed: int | None = None,
-    frames: int | None = None,
+    calibration: MaybePath = None,
+    max_time_difference_s: MaybeFloat = None,
+    seed: MaybeInt = None,
+    frames: MaybeInt = None,
     noise: bool = False,
     overwrite: bool = False,
 ) -> int:
@@ -70,7 +81,6 @@ def record_command(
     from recorders.calibration_file import read_calibration
     from recorders.record import record
     from recorders.registry import open_source
-    from replay.progress import progress_bar
 
     options: dict[str, object] = {
         "calibration": read_calibration(calibration) if calibration else None,
@@ -83,25 +93,17 @@ def record_command(
     opened = open_source(format, source, **given)
     name = source.resolve().name if source else format
     selection = Selection(start, stop, stride)
-    with progress_bar(err) as bar:
-        task = bar.add_task("record", total=None, note="")
-        recording = record(
-            opened,
-            name,
-            output,
-            selection,
-            overwrite=overwrite,
-            progress=lambda done, total: bar.update(task, completed=done, total=total),
-        )
+    with _progress("record") as progress:
+        recording = record(opened, name, output, selection, overwrite=overwrite, progress=progress)
     size_mb = output.stat().st_size / 1e6
-    out.print(f"{output}: {recording.frames} frames, {size_mb:.1f} MB", highlight=False)
+    print(f"{output}: {recording.frames} frames, {size_mb:.1f} MB")
     for keyword, note in recording.notes.items():
-        out.print(f"  {keyword}: {note}", highlight=False)
+        print(f"  {keyword}: {note}")
     return SAME
 
 
 @app.command(name="info")
-def info_command(log: Positional[Path], *, as_json: AsJson = False) -> int:
+def info_command(log: Log, *, as_json: AsJson = False) -> int:
     """Say what is in a log.
 
     Args:
@@ -115,15 +117,16 @@ def info_command(log: Positional[Path], *, as_json: AsJson = False) -> int:
         print(json.dumps(dataclasses.asdict(info), indent=2))
         return SAME
     rate_hz = (info.frames - 1) / info.duration_s if info.duration_s else 0.0
+    depth_camera = f"{_camera_text(info.depth_camera)}, {100 * info.baseline_m:.1f} cm away"
+    ground_truth = [f"{len(info.labels)} labels"] * bool(info.labels) + ["mesh"] * info.has_mesh
     rows = {
         "source": f"{info.source} ({info.format})",
         "size": f"{info.size_bytes / 1e6:.1f} MB",
         "frames": f"{info.frames} in {info.duration_s:.2f} s ({rate_hz:.1f} Hz)",
         "colour camera": _camera_text(info.color_camera),
-        "depth camera": "the same" if info.registered else _camera_text(info.depth_camera),
-        "baseline": f"{100 * info.baseline_m:.1f} cm",
+        "depth camera": "the same" if info.registered else depth_camera,
         "bounds": f"{_corner(info.bounds_lower_m)} to {_corner(info.bounds_upper_m)} m",
-        "ground truth": f"{len(info.labels)} labels" + (", mesh" if info.has_mesh else ""),
+        "ground truth": ", ".join(ground_truth) or "none",
         **info.notes,
     }
     _print_table(str(log), rows)
@@ -142,7 +145,7 @@ def _corner(corner_m: tuple[float, float, float]) -> str:
 
 
 @app.command(name="check")
-def check_command(log: Positional[Path], *, as_json: AsJson = False) -> int:
+def check_command(log: Log, *, as_json: AsJson = False) -> int:
     """Look for faults in a log: checksums, time, poses, images, depth. Exit code 1 if there are.
 
     Args:
@@ -150,30 +153,29 @@ def check_command(log: Positional[Path], *, as_json: AsJson = False) -> int:
         as_json: print JSON, for programs.
     """
     from proground_log.log.check import check_log
-    from replay.progress import progress_bar
 
-    with progress_bar(err) as bar:
-        task = bar.add_task("check", total=None, note="")
-        faults = check_log(log, lambda done, total: bar.update(task, completed=done, total=total))
+    with _progress("check") as progress:
+        faults = check_log(log, progress)
     if as_json:
         print(json.dumps([dataclasses.asdict(fault) for fault in faults], indent=2))
     elif faults:
-        table = Table("frame", "topic", "fault", title=f"{len(faults)} faults in {log}")
+        count = "1 fault" if len(faults) == 1 else f"{len(faults)} faults"
+        table = Table("frame", "topic", "fault", title=f"{count} in {log}")
         for fault in faults:
             table.add_row(fault.frame, fault.topic, fault.what)
         out.print(table)
     else:
-        out.print(f"{log}: no fault found", highlight=False)
+        print(f"{log}: no fault found")
     return DIFFERENT if faults else SAME
 
 
 @app.command(name="replay")
 def replay_command(
-    log: Positional[Path],
+    log: Log,
     *,
     output: Output,
-    config: tyro.conf.OmitArgPrefixes[ReplayConfig] = ReplayConfig(),
-    threads: int | None = None,
+    config: Annotated[ReplayConfig, tyro.conf.arg(name="")] = ReplayConfig(),
+    threads: MaybeInt = None,
     resume: bool = False,
     overwrite: bool = False,
 ) -> int:
@@ -218,7 +220,7 @@ def _print_summary(run: Path, manifest: Manifest) -> None:
 
 
 @app.command(name="diff")
-def diff_command(first: Positional[Path], second: Positional[Path]) -> int:
+def diff_command(first: Run, second: Run) -> int:
     """Name the first step at which two runs differ, and in what. Exit code 1 if they do.
 
     Args:
@@ -229,28 +231,27 @@ def diff_command(first: Positional[Path], second: Positional[Path]) -> int:
 
     comparison = compare_runs(first, second)
     for origin in comparison.origins:
-        out.print(origin, highlight=False)
+        print(origin)
     divergence = comparison.divergence
     if divergence is not None:
-        out.print(
+        print(
             f"first difference: {divergence.cause}, at frame {divergence.frame}, "
-            f"step {divergence.step} (ledger line {divergence.line})",
-            highlight=False,
+            f"step {divergence.step} (ledger line {divergence.line})"
         )
         for detail in divergence.details:
-            out.print(f"  {detail}", highlight=False)
+            print(f"  {detail}")
     for name, difference in comparison.tensors.items():
-        out.print(f"final {name}: {difference}", highlight=False)
+        print(f"final {name}: {difference}")
     if comparison.is_same:
-        out.print("the runs are equal, bit for bit", highlight=False)
+        print("the runs are equal, bit for bit")
     return SAME if comparison.is_same else DIFFERENT
 
 
 @app.command(name="evaluate")
 def evaluate_command(
-    run: Positional[Path],
+    run: Run,
     *,
-    log: Path | None = None,
+    log: MaybePath = None,
     voxel_m: float = 0.02,
     as_json: AsJson = False,
 ) -> int:
@@ -263,16 +264,9 @@ def evaluate_command(
         as_json: print JSON, for programs.
     """
     from replay.evaluate import evaluate_run
-    from replay.progress import progress_bar
 
-    with progress_bar(err) as bar:
-        task = bar.add_task("evaluate", total=None, note="")
-        scores = evaluate_run(
-            run,
-            log,
-            voxel_m,
-            lambda done, total: bar.update(task, completed=done, total=total),
-        )
+    with _progress("evaluate") as progress:
+        scores = evaluate_run(run, log, voxel_m, progress)
     if as_json:
         print(json.dumps(scores, indent=2))
     else:
@@ -282,8 +276,8 @@ def evaluate_command(
 
 @app.command(name="export")
 def export_command(
-    run: Positional[Path],
-    what: Positional[str],
+    run: Run,
+    what: Annotated[str, Positional, tyro.conf.arg(metavar="WHAT")],
     *,
     output: Output,
     voxel_m: float = 0.02,
@@ -309,14 +303,18 @@ def export_command(
     with err.status("extracting the mesh"):
         mesh = extract_mesh(load_map(RunFolder(run).require_finished().map), voxel_m)
         write_ply(output, mesh)
-    out.print(
-        f"{output}: {len(mesh.vertices_m)} vertices, {len(mesh.faces)} faces", highlight=False
-    )
+    print(f"{output}: {len(mesh.vertices_m)} vertices, {len(mesh.faces)} faces")
     return SAME
 
 
 @app.command(name="view")
-def view_command(paths: Positional[tuple[Path, ...]], *, web: bool = False) -> int:
+def view_command(
+    paths: Annotated[
+        tuple[Path, ...], Positional, tyro.conf.arg(metavar="LOG|RUN ...", help_behavior_hint="")
+    ] = (),
+    *,
+    web: bool = False,
+) -> int:
     """Open logs and runs in the rerun viewer.
 
     Args:
@@ -325,6 +323,10 @@ def view_command(paths: Positional[tuple[Path, ...]], *, web: bool = False) -> i
     """
     from proground_log.telemetry.viewer import view
 
+    if not paths:
+        raise ProgroundError(
+            "there is nothing to open", where="view", todo="give logs (.mcap) or folders of runs"
+        )
     view(paths, web=web)
     return SAME
 
@@ -343,14 +345,36 @@ def demo_command(*, output: Output, seed: int = 0, overwrite: bool = False) -> i
     config = ReplayConfig(seed=seed, hold_out_every=10)
     replay_command(log, output=run, config=config, overwrite=overwrite)
     evaluate_command(run)
-    out.print(f"\nlook at it:      pglog view {run}\nlook at the log: pglog view {log}")
+    print(f"\nlook at it:      pglog view {run}\nlook at the log: pglog view {log}")
     return SAME
 
 
+@contextmanager
+def _progress(what: str) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar; it appears when it is first told how many are done, and of how many."""
+    from replay.progress import progress_bar
+
+    bar = progress_bar(err)
+    task = bar.add_task(what, total=None, note="")
+
+    def move(done: int, total: int) -> None:
+        bar.start()
+        bar.update(task, completed=done, total=total)
+
+    try:
+        yield move
+    finally:
+        if bar.live.is_started:
+            bar.stop()
+
+
 def _print_table(title: str, rows: dict[str, str]) -> None:
-    table = Table(title=title, show_header=False, title_justify="left")
+    table = Table(show_header=False)
+    table.add_column(overflow="fold")
+    table.add_column(overflow="fold")
     for name, value in rows.items():
         table.add_row(name, value)
+    print(title)
     out.print(table)
 
 
@@ -360,9 +384,18 @@ def main() -> None:
         code = app.cli(
             prog="pglog",
             description="Map RGB-D logs online, offline: record, replay, compare, look.",
+            config=(tyro.conf.FlagCreatePairsOff,),
         )
     except ProgroundError as error:
         print(f"pglog: {error}", file=sys.stderr)
+        code = FAILED
+    except BrokenPipeError:
+        # Whoever reads the output (head, less) has seen enough; nothing more can be printed.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = FAILED
+    except OSError as error:
+        reason = f"{error.filename or 'pglog'}: {(error.strerror or str(error)).lower()}"
+        print(f"pglog: {reason}; check the path and its permissions", file=sys.stderr)
         code = FAILED
     except KeyboardInterrupt:
         print("pglog: stopped", file=sys.stderr)

@@ -10,17 +10,30 @@ from pathlib import Path
 
 from proground_log.errors import ProgroundError
 
+_REMEDIES = {
+    errno.ENOSPC: "free some space or write elsewhere",
+    errno.EDQUOT: "free some space or write elsewhere",
+    errno.EFBIG: "raise the limit on file sizes or write elsewhere",
+    errno.EACCES: "check the permissions",
+    errno.EROFS: "write elsewhere",
+    errno.ENAMETOOLONG: "choose a shorter name",
+}
+
 
 def require_file(path: Path) -> Path:
     """Return `path`; raise a ProgroundError unless it is a file that is there."""
     if not path.is_file():
         what = "is a folder, not a file" if path.is_dir() else "no such file"
         raise ProgroundError(what, where=path, todo="check the path")
+    if not os.access(path, os.R_OK):
+        raise ProgroundError("may not be read", where=path, todo="check the permissions")
     return path
 
 
 def require_free(path: Path, *, overwrite: bool) -> Path:
     """Return `path`; raise a ProgroundError when it exists and may not be replaced."""
+    if path.is_dir():
+        raise ProgroundError("the output is a folder", where=path, todo="name a file in it")
     if path.exists() and not overwrite:
         raise ProgroundError(
             "the output exists", where=path, todo="choose another name or pass --overwrite"
@@ -30,22 +43,22 @@ def require_free(path: Path, *, overwrite: bool) -> Path:
 
 @contextmanager
 def disk_errors(path: Path) -> Iterator[None]:
-    """Turn what a disk refuses (full, read-only, forbidden) into a ProgroundError on `path`."""
+    """Turn what a disk refuses (full, read-only, forbidden) into a ProgroundError on `path`.
+
+    An error on a file that is not `path`, a folder above it or a file named after it passes.
+    """
     try:
         yield
     except OSError as error:
-        remedies = {
-            errno.ENOSPC: "free some space or write elsewhere",
-            errno.EDQUOT: "free some space or write elsewhere",
-            errno.EFBIG: "raise the limit on file sizes or write elsewhere",
-            errno.EACCES: "check the permissions",
-            errno.EROFS: "write elsewhere",
-        }
-        if error.errno not in remedies:
+        at = str(path if error.filename is None else error.filename)
+        is_ours = at.startswith(str(path)) or Path(at) in path.parents
+        if error.errno is None or not is_ours:
             raise
         reason = os.strerror(error.errno).lower()
         raise ProgroundError(
-            f"cannot write: {reason}", where=path, todo=remedies[error.errno]
+            f"cannot write: {reason}",
+            where=path,
+            todo=_REMEDIES.get(error.errno, "check the path, or write elsewhere"),
         ) from error
 
 

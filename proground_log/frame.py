@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from proground_log.camera import Camera
+from proground_log.encoded_image import is_whole
 from proground_log.errors import ProgroundError
 
 
@@ -45,10 +46,13 @@ class SensorFrame:
 
     def decode_color(self) -> np.ndarray:
         """The colour image, uint8 [H, W, 3] RGB; raises a ProgroundError where it is broken."""
-        image = cv2.imdecode(np.frombuffer(self.color, np.uint8), cv2.IMREAD_COLOR_RGB)
+        whole = is_whole(self.color, self.color_format)
+        encoded = np.frombuffer(self.color, np.uint8)
+        image = cv2.imdecode(encoded, cv2.IMREAD_COLOR_RGB) if whole else None
         if image is None:
+            what = "cannot be decoded" if whole else "is cut short"
             raise ProgroundError(
-                f"the {self.color_format} image cannot be decoded",
+                f"the {self.color_format} image {what}",
                 where=f"frame {self.index}",
                 todo="record the log again, or leave the frame out",
             )
@@ -85,8 +89,11 @@ class Selection:
     """Which frames to take: every `stride`-th from `start` up to, not including, `stop`."""
 
     start: int = 0
+    """First frame."""
     stop: int | None = None
+    """Frame to stop before."""
     stride: int = 1
+    """Take every so many-th frame."""
 
     def of(self, count: int) -> Sequence[int]:
         """The selected frame numbers of a recording of `count` frames."""

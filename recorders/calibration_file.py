@@ -39,4 +39,10 @@ def _camera(content: dict[str, Any]) -> Camera:
     distortion = tuple(float(value) for value in content.get("distortion", ()))
     width, height = int(content["width"]), int(content["height"])
     fx, fy, cx, cy = (float(content[name]) for name in ("fx", "fy", "cx", "cy"))
+    if len(distortion) not in (0, 5):
+        raise ValueError(f"{len(distortion)} numbers of distortion, not k1 k2 p1 p2 k3")
+    if not (np.isfinite([cx, cy, *distortion]).all() and 0 < min(fx, fy) <= max(fx, fy) < np.inf):
+        raise ValueError("a number is not finite, or a focal length not above 0")
+    if min(width, height) < 1:
+        raise ValueError(f"a size of {width}x{height}")
     return Camera.from_integer_centres(width, height, fx, fy, cx, cy, distortion)

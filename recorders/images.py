@@ -12,11 +12,10 @@ import numpy as np
 from PIL import Image, UnidentifiedImageError
 
 from proground_log.camera import Camera
+from proground_log.encoded_image import is_whole, png_is_whole
 from proground_log.errors import ProgroundError
 from proground_log.files import require_file
 
-JPEG_START, JPEG_SCAN, JPEG_END = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
-PNG_END = b"\x00\x00\x00\x00IEND\xaeB`\x82"
 COPY_AGAIN = "copy the file from the data set again"
 
 
@@ -83,9 +82,7 @@ def read_encoded(path: Path) -> EncodedImage:
         raise ProgroundError(
             f"is a {kind} image", where=path, todo="convert the images to JPEG or PNG"
         )
-    # Whatever follows the end marker (zero padding, a trailer) is kept: decoders ignore it.
-    is_whole = _jpeg_is_whole(data) if kind == "JPEG" else _png_is_whole(data)
-    if not is_whole:
+    if not is_whole(data, kind.lower()):
         raise ProgroundError(f"the {kind} image is cut short", where=path, todo=COPY_AGAIN)
     return EncodedImage(data, kind.lower(), width, height)
 
@@ -135,7 +132,7 @@ def read_labels(path: Path, camera: Camera) -> np.ndarray:
 
 def _decode_png(path: Path) -> np.ndarray:
     data = require_file(path).read_bytes()
-    if not _png_is_whole(data):
+    if not png_is_whole(data):
         raise ProgroundError(
             "is not a whole PNG image (no end marker)", where=path, todo=COPY_AGAIN
         )
@@ -143,21 +140,6 @@ def _decode_png(path: Path) -> np.ndarray:
     if image is None:
         raise ProgroundError("the PNG image cannot be decoded", where=path, todo=COPY_AGAIN)
     return np.asarray(image)
-
-
-def _jpeg_is_whole(data: bytes) -> bool:
-    """Whether an end marker follows the first scan: a thumbnail, with its own, comes before."""
-    at = len(JPEG_START)
-    while data[at : at + 1] == b"\xff":
-        if data[at : at + 2] == JPEG_SCAN:
-            return data.rfind(JPEG_END) > at
-        is_fill = data[at + 1 : at + 2] == b"\xff"
-        at += 1 if is_fill else 2 + int.from_bytes(data[at + 2 : at + 4], "big")
-    return False
-
-
-def _png_is_whole(data: bytes) -> bool:
-    return PNG_END in data[-4096:] or PNG_END in data
 
 
 def _require_size(path: Path, size: tuple[int, int], camera: Camera) -> None:

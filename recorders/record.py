@@ -39,6 +39,7 @@ def record(
     chosen = selection.of(len(source))
     estimator = BoundsEstimator()
     with open_writer(output, source.calibration) as writer:
+        progress(0, len(chosen))
         for done, index in enumerate(chosen, start=1):
             frame = source.frame(index)
             estimator.add(frame, source.calibration.depth)

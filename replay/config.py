@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
 
 from proground_log.frame import Selection
 from proground_log.mapping.config import MapperConfig
@@ -34,7 +37,7 @@ class ReplayConfig:
     """Of every random draw."""
     device: str = "auto"
     """auto, cpu or cuda."""
-    selection: Selection = Selection()
+    selection: Annotated[Selection, tyro.conf.arg(name="")] = Selection()
     """Which frames of the log arrive."""
     max_frames: int | None = None
     """Stop after so many of them."""

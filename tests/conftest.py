@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from proground_log.camera import transform
-from proground_log.frame import SensorFrame
+from proground_log.frame import Selection, SensorFrame
+from recorders.record import record
+from recorders.room import RoomSource
 from recorders.source import Source
 
 SHARED_DATA = Path(__file__).parents[2] / "shared" / "data"
@@ -21,6 +23,15 @@ def shared_data() -> Path:
     if not SHARED_DATA.is_dir():
         pytest.skip(f"no real data in {SHARED_DATA}")
     return SHARED_DATA
+
+
+@pytest.fixture(scope="session")
+def room_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log of the built-in room with 12 frames; read it, do not change it."""
+    path = tmp_path_factory.mktemp("room") / "room.mcap"
+    room = RoomSource(frames=12)
+    record(room, "room", path, Selection(), overwrite=False, progress=lambda *_: None)
+    return path
 
 
 @pytest.fixture(scope="session")

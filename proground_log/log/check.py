@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from mcap.records import Channel, Chunk, Message, Schema
+from mcap.records import Chunk, DataEnd, Message
 from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
 
 from proground_log.camera import transform
@@ -45,11 +45,16 @@ def check_log(path: Path, progress: Callable[[int, int], None]) -> list[Fault]:
     """
     reader = LogReader(path)
     faults: list[Fault] = []
-    register = Registration(reader.calibration)
+    register = None
+    try:
+        register = Registration(reader.calibration)
+    except ProgroundError as error:
+        faults.append(Fault("", _topic_of(error), error.what))
     decode = MessageDecoder()
     last_ns = -1
+    progress(0, len(reader))
     count = 0
-    for count, group in enumerate(group_by_time(_whole_messages(path, faults)), start=1):
+    for count, group in enumerate(group_by_time(_whole_messages(reader, faults)), start=1):
         index = group[0][2].sequence
         if group[0][2].log_time <= last_ns:
             faults.append(Fault(str(index), "", f"time does not increase after {last_ns} ns"))
@@ -61,15 +66,20 @@ def check_log(path: Path, progress: Callable[[int, int], None]) -> list[Fault]:
     return faults
 
 
-def _whole_messages(path: Path, faults: list[Fault]) -> Iterator[RawMessage]:
+def _topic_of(error: ProgroundError) -> str:
+    topic = error.where.rpartition(", ")[2]
+    return topic if topic.startswith("/") else ""
+
+
+def _whole_messages(reader: LogReader, faults: list[Fault]) -> Iterator[RawMessage]:
     """All messages of undamaged chunks in file order; damage goes into `faults`."""
-    schemas: dict[int, Schema] = {}
-    channels: dict[int, Channel] = {}
-    last_frame = -1
-    with path.open("rb") as stream:
+    last_frame, is_damaged, has_checksum = -1, False, False
+    with reader.path.open("rb") as stream:
         records = StreamReader(stream, emit_chunks=True, validate_crcs=True).records
         try:
             for record in records:
+                if isinstance(record, DataEnd):
+                    has_checksum = record.data_section_crc != 0
                 if not isinstance(record, Chunk):
                     continue
                 try:
@@ -77,27 +87,34 @@ def _whole_messages(path: Path, faults: list[Fault]) -> Iterator[RawMessage]:
                 except DAMAGE as error:
                     start_s, end_s = record.message_start_time / 1e9, record.message_end_time / 1e9
                     what = f"a chunk, {start_s:.3f} s to {end_s:.3f} s, is damaged ({error})"
-                    faults.append(Fault(f"after {last_frame}", "", what))
+                    faults.append(Fault(_after(last_frame), "", what))
+                    is_damaged = True
                     continue
                 for part in parts:
-                    if isinstance(part, Schema):
-                        schemas[part.id] = part
-                    elif isinstance(part, Channel):
-                        channels[part.id] = part
-                    elif isinstance(part, Message):
-                        channel, last_frame = channels[part.channel_id], part.sequence
-                        yield schemas[channel.schema_id], channel, part
+                    if isinstance(part, Message):
+                        channel, last_frame = reader.channels[part.channel_id], part.sequence
+                        yield reader.schemas[channel.schema_id], channel, part
         except CRCValidationError:
             # Says that some byte of the file changed; a damaged chunk was named already.
-            if not faults:
+            if not is_damaged:
                 faults.append(Fault("", "", "the checksum over the whole file does not hold"))
+        except DAMAGE as error:
+            what = f"cannot be read on ({error or type(error).__name__})"
+            faults.append(Fault(_after(last_frame), "", what))
+        else:
+            if not has_checksum:
+                faults.append(Fault("", "", "has no checksum over the whole file"))
+
+
+def _after(frame: int) -> str:
+    return f"after {frame}" if frame >= 0 else "first"
 
 
 def _frame_faults(
     index: int,
     group: list[RawMessage],
     decode: MessageDecoder,
-    register: Registration,
+    register: Registration | None,
     reader: LogReader,
 ) -> Iterator[Fault]:
     """The faults of one frame."""
@@ -105,8 +122,7 @@ def _frame_faults(
     try:
         sensor = decode_frame(index, group, decode, where=reader.path)
     except ProgroundError as error:
-        topic = error.where.rpartition(", ")[2]
-        yield Fault(name, topic if topic.startswith("/") else "", error.what)
+        yield Fault(name, _topic_of(error), error.what)
         return
     depth_m = sensor.depth_m
     if not np.isfinite(depth_m).all():
@@ -114,10 +130,12 @@ def _frame_faults(
         return
     if (depth_m < 0).any():
         yield Fault(name, topics.DEPTH, "has negative depths")
+    if register is None:
+        return
     try:
         frame = register(sensor)
     except ProgroundError as error:
-        yield Fault(name, topics.COLOR, error.what)
+        yield Fault(name, _topic_of(error) or topics.COLOR, error.what)
         return
     valid = frame.depth_m > 0
     if not valid.any():

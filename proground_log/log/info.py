@@ -55,7 +55,8 @@ def log_info(path: Path) -> LogInfo:
     counts, duration_s = {}, 0.0
     if statistics is not None:
         by_id = statistics.channel_message_counts
-        counts = {topic: by_id.get(number, 0) for topic, number in sorted(reader.topics.items())}
+        numbers = sorted((channel.topic, channel.id) for channel in reader.channels.values())
+        counts = {topic: by_id.get(number, 0) for topic, number in numbers}
         duration_s = (statistics.message_end_time - statistics.message_start_time) / 1e9
     return LogInfo(
         path=str(path),

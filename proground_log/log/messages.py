@@ -110,6 +110,12 @@ def encoder(message_type: str) -> Callable[[object], bytes]:
 
 def _header(stamp_ns: int, frame_id: str) -> SimpleNamespace:
     seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+    if seconds >= 2**31:
+        raise ProgroundError(
+            f"the time {stamp_ns} ns is later than a ROS 2 message can say",
+            where=frame_id,
+            todo="check the source's times: in seconds since 1970 or since the start",
+        )
     return SimpleNamespace(
         stamp=SimpleNamespace(sec=seconds, nanosec=nanoseconds), frame_id=frame_id
     )
@@ -204,14 +210,20 @@ def transform_message(
 
 def parent_from_child(message: Any, *, where: object) -> np.ndarray:
     """The 4x4 matrix of a TFMessage with one transform; not checked to be finite."""
+    todo = "record the log again, or leave the frame out"
+    if len(message.transforms) != 1:
+        what = f"has {len(message.transforms)} transforms, not one"
+        raise ProgroundError(what, where=where, todo=todo)
     transform = message.transforms[0].transform
     translation, rotation = transform.translation, transform.rotation
     quaternion = np.array([rotation.x, rotation.y, rotation.z, rotation.w])
     norm = np.linalg.norm(quaternion)
-    if not (np.isfinite(norm) and abs(norm - 1.0) < 1e-3):
+    if not np.isfinite(norm):
+        raise ProgroundError("the pose has numbers that are not finite", where=where, todo=todo)
+    if abs(norm - 1.0) >= 1e-3:
         raise ProgroundError(
             f"the pose is not rigid (its quaternion has length {norm:.4g})",
             where=where,
-            todo="record the log again, or leave the frame out",
+            todo=todo,
         )
     return pose_from_quaternion(np.array([translation.x, translation.y, translation.z]), quaternion)

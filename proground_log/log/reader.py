@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import json
+import os
 import struct
+import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import zstandard
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
-from mcap.records import Attachment, Message, Schema, Statistics
+from mcap.records import Channel, Message, Schema, Statistics
 from mcap.stream_reader import CRCValidationError
+from mcap.writer import MCAP0_MAGIC
 from mcap_ros2.decoder import DecoderFactory
 
 from proground_log.camera import Calibration, require_rigid
@@ -24,8 +27,20 @@ from proground_log.frame import SensorFrame
 from proground_log.log import messages, topics
 from proground_log.log.recording import Recording
 
-DAMAGE = (McapError, CRCValidationError, zstandard.ZstdError, struct.error)
-"""What the libraries raise on bytes that are not as they were written."""
+DAMAGE = (
+    McapError,
+    CRCValidationError,
+    zstandard.ZstdError,
+    struct.error,
+    UnicodeDecodeError,
+    OverflowError,
+    MemoryError,
+)
+"""What the libraries raise on bytes that are not as they were written; the last two where a
+length became absurd."""
+
+_FOOTER = struct.Struct("<BQQQI")
+"""Opcode, length, start of the summary, start of its offsets, checksum."""
 
 FRAME_TOPICS = (topics.TF, topics.COLOR, topics.DEPTH)
 """Topics that every frame must have."""
@@ -37,9 +52,17 @@ class MessageDecoder:
     def __init__(self) -> None:
         self._factory = DecoderFactory()
 
-    def __call__(self, schema: Schema | None, message: Message) -> Any:
+    def __call__(self, schema: Schema | None, message: Message, *, where: object) -> Any:
+        """Decode a message; raises a ProgroundError where it does not follow its schema."""
         decode = self._factory.decoder_for("cdr", schema)
-        return decode(message.data) if decode else None
+        try:
+            if decode is not None:
+                return decode(message.data)
+        except (struct.error, ValueError, IndexError, MemoryError):
+            pass
+        raise ProgroundError(
+            "the message cannot be decoded", where=where, todo="record the log again"
+        )
 
 
 class LogReader:
@@ -51,6 +74,8 @@ class LogReader:
 
     def __init__(self, path: Path) -> None:
         self.path = require_file(path)
+        with self.path.open("rb") as stream:
+            _require_whole_summary(stream, path)
         with self._reader() as reader:
             summary = reader.get_summary()
             metadata = {record.name: record.metadata for record in reader.iter_metadata()}
@@ -61,7 +86,9 @@ class LogReader:
                 todo="make one with `pglog record`",
             )
         self.statistics: Statistics | None = summary.statistics
-        self.topics = {channel.topic: channel.id for channel in summary.channels.values()}
+        self.schemas: dict[int, Schema] = summary.schemas
+        self.channels: dict[int, Channel] = summary.channels
+        self._attachments = summary.attachment_indexes
         self.recording = Recording.from_metadata(metadata[topics.RECORDING_METADATA], where=path)
 
     def __len__(self) -> int:
@@ -69,15 +96,20 @@ class LogReader:
 
     @contextmanager
     def _reader(self) -> Iterator[Any]:
-        with self.path.open("rb") as stream:
-            try:
-                yield make_reader(stream, validate_crcs=True)
-            except DAMAGE as error:
-                raise ProgroundError(
-                    f"the file is damaged or cut off ({error})",
-                    where=self.path,
-                    todo="see `pglog check`, or record it again",
-                ) from error
+        """The library's reader of the file; damage that it meets becomes a ProgroundError."""
+        with self.path.open("rb") as stream, self._damage_named():
+            yield make_reader(stream, validate_crcs=True)
+
+    @contextmanager
+    def _damage_named(self) -> Iterator[None]:
+        try:
+            yield
+        except DAMAGE as error:
+            raise ProgroundError(
+                f"the file is damaged ({error or type(error).__name__})",
+                where=self.path,
+                todo="see `pglog check`, or record it again",
+            ) from error
 
     @cached_property
     def calibration(self) -> Calibration:
@@ -87,7 +119,8 @@ class LogReader:
         decode = MessageDecoder()
         with self._reader() as reader:
             for schema, channel, message in reader.iter_messages(topics=wanted):
-                found.setdefault(channel.topic, decode(schema, message))
+                where = f"{self.path}, {channel.topic}"
+                found.setdefault(channel.topic, decode(schema, message, where=where))
                 if len(found) == len(wanted):
                     break
         missing = [topic for topic in wanted if topic not in found]
@@ -95,12 +128,13 @@ class LogReader:
             raise ProgroundError(
                 f"has no {' and no '.join(missing)}", where=self.path, todo="record it again"
             )
+        mount = f"{self.path}, {topics.TF_STATIC}"
         return Calibration(
             color=messages.camera(found[topics.COLOR_INFO]),
             depth=messages.camera(found[topics.DEPTH_INFO]),
             depth_from_color=require_rigid(
-                messages.parent_from_child(found[topics.TF_STATIC], where=topics.TF_STATIC),
-                where=f"{self.path}, {topics.TF_STATIC}",
+                messages.parent_from_child(found[topics.TF_STATIC], where=mount),
+                where=mount,
             ),
         )
 
@@ -113,11 +147,16 @@ class LogReader:
 
     def attachment(self, name: str) -> bytes | None:
         """The bytes of an attachment, or None where the log has none of that name."""
-        with self._reader() as reader:
-            attachment: Attachment
-            for attachment in reader.iter_attachments():
-                if attachment.name == name:
-                    return attachment.data
+        for index in self._attachments:
+            if index.name != name:
+                continue
+            with self.path.open("rb") as stream, self._damage_named():
+                stream.seek(index.offset)
+                record = stream.read(index.length)
+                # The library does not look at this checksum: of all but opcode, length and itself.
+                if zlib.crc32(record[9:-4]) != int.from_bytes(record[-4:], "little"):
+                    raise McapError(f"the checksum of the attachment {name} does not hold")
+                return record[-4 - index.data_size : -4]
         return None
 
     def frames(self, chosen: Sequence[int] | None = None) -> Iterator[SensorFrame]:
@@ -141,6 +180,32 @@ class LogReader:
             )
 
 
+def _require_whole_summary(stream: BinaryIO, path: Path) -> None:
+    """Raise a ProgroundError unless this is an MCAP file with its end and an undamaged index.
+
+    The library leaves the checksum of the index alone, and everything hangs on the index.
+    """
+    magic = len(MCAP0_MAGIC)
+    if stream.read(magic) != MCAP0_MAGIC:
+        raise ProgroundError(
+            "is no MCAP file", where=path, todo="give a log, made with `pglog record`"
+        )
+    end = stream.seek(0, os.SEEK_END)
+    stream.seek(max(0, end - _FOOTER.size - magic))
+    footer, last = stream.read(_FOOTER.size), stream.read()
+    if last != MCAP0_MAGIC:
+        raise ProgroundError("the file is cut off", where=path, todo="copy or record it again")
+    *_, start, _, checksum = _FOOTER.unpack(footer)
+    stream.seek(min(start, end))
+    covered = stream.read(max(0, end - start - magic - 4))
+    if start and checksum and zlib.crc32(covered) != checksum:
+        raise ProgroundError(
+            "the file is damaged: the checksum of its index does not hold",
+            where=path,
+            todo="copy or record it again",
+        )
+
+
 RawMessage = tuple[Schema | None, Any, Message]
 
 
@@ -161,18 +226,18 @@ def decode_frame(
 ) -> SensorFrame:
     """Make a frame of its messages; raises a ProgroundError that names frame and topic."""
     wanted = (*FRAME_TOPICS, topics.LABELS)
+    at = f"{where}, frame {index}, "
     found = {
-        channel.topic: decode(schema, message)
+        channel.topic: decode(schema, message, where=at + channel.topic)
         for schema, channel, message in group
         if channel.topic in wanted
     }
     for topic in FRAME_TOPICS:
         if topic not in found:
             raise ProgroundError(
-                f"has no {topic}", where=f"{where}, frame {index}", todo="record the log again"
+                "the message is missing", where=at + topic, todo="record the log again"
             )
     labels = found.get(topics.LABELS)
-    at = f"{where}, frame {index}, "
     return SensorFrame(
         index=index,
         stamp_ns=group[0][2].log_time,

@@ -14,6 +14,7 @@ import numpy as np
 from proground_log.camera import Calibration, Camera
 from proground_log.errors import ProgroundError
 from proground_log.frame import Frame, SensorFrame
+from proground_log.log import topics
 
 OCCLUSION_TOLERANCE_M = 0.05
 """A surface this much behind the nearest one along a colour ray is hidden from the colour
@@ -34,15 +35,19 @@ class Registration:
     def __call__(self, sensor: SensorFrame) -> Frame:
         """Decode and register a frame; raises a ProgroundError that names it."""
         color = sensor.decode_color()
-        expected = self._calibration.color
-        if color.shape[:2] != (expected.height, expected.width):
-            raise ProgroundError(
-                f"the colour image is {color.shape[1]}x{color.shape[0]}, "
-                f"the camera {expected.width}x{expected.height}",
-                where=f"frame {sensor.index}",
-                todo="record the log again with the right calibration",
-            )
         depth_m, labels = sensor.depth_m, sensor.labels
+        for image, camera, topic in (
+            (color, self._calibration.color, topics.COLOR),
+            (depth_m, self._calibration.depth, topics.DEPTH),
+            (labels, self._calibration.color, topics.LABELS),
+        ):
+            if image is not None and image.shape[:2] != (camera.height, camera.width):
+                raise ProgroundError(
+                    f"the image is {image.shape[1]}x{image.shape[0]}, "
+                    f"the camera {camera.width}x{camera.height}",
+                    where=f"frame {sensor.index}, {topic}",
+                    todo="record the log again with the right calibration",
+                )
         valid: np.ndarray = np.ones(color.shape[:2], dtype=np.uint8)
         if self._depth_maps:
             depth_m = cv2.remap(depth_m, *self._depth_maps, cv2.INTER_NEAREST)

@@ -60,11 +60,17 @@ class LogWriter:
         self._channel_ids: dict[str, int] = {}
         self._frames = 0
         self._last_stamp_ns = -1
+        self._is_finished = False
 
     @property
     def frames(self) -> int:
         """Frames written so far."""
         return self._frames
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether `finish` was called."""
+        return self._is_finished
 
     def write(self, frame: SensorFrame) -> None:
         """Append a frame; its time has to be later than that of the one before."""
@@ -147,6 +153,7 @@ class LogWriter:
         if mesh is not None:
             self._attach(topics.MESH_ATTACHMENT, "application/x-ply", mesh)
         self._writer.finish()
+        self._is_finished = True
 
     def _attach(self, name: str, media_type: str, data: bytes) -> None:
         time_ns = max(self._last_stamp_ns, 0)
@@ -157,4 +164,7 @@ class LogWriter:
 def open_writer(path: Path, calibration: Calibration) -> Iterator[LogWriter]:
     """Write a log to `path`, which takes its name only once `LogWriter.finish` was called."""
     with written_whole(path) as temporary, temporary.open("wb") as stream:
-        yield LogWriter(stream, calibration)
+        writer = LogWriter(stream, calibration)
+        yield writer
+        if not writer.is_finished:
+            raise RuntimeError(f"{path} was not finished")

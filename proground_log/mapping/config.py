@@ -32,7 +32,7 @@ class LossWeights:
     rgb: float = 5.0
     depth: float = 0.1
     sdf: float = 200.0
-    free_space: float = 2.0
+    free_space: float = 10.0
     smoothness: float = 1e-3
 
 

@@ -67,13 +67,14 @@ def save_map(path: Path, content: NeuralMap) -> None:
         f"field/{name}": p.detach().cpu().numpy() for name, p in sorted(field.named_parameters())
     }
     tensors["observed/voxels"] = np.packbits(content.observed.voxels)
-    metadata = {
+    header = {
         "version": MAP_VERSION,
-        "field": json.dumps(dataclasses.asdict(field.config)),
-        "bounds": json.dumps([field.bounds.lower_m, field.bounds.upper_m]),
+        "field": dataclasses.asdict(field.config),
+        "bounds": dataclasses.asdict(field.bounds),
     }
     with written_whole(path) as temporary:
-        save_file(tensors, temporary, metadata)
+        # One entry: safetensors writes several in any order.
+        save_file(tensors, temporary, {"proground.map": json.dumps(header)})
 
 
 def load_map(path: Path, device: str = "cpu") -> NeuralMap:
@@ -81,21 +82,20 @@ def load_map(path: Path, device: str = "cpu") -> NeuralMap:
     require_file(path)
     try:
         with safe_open(path, framework="numpy") as file:
-            metadata = file.metadata() or {}
+            header = json.loads((file.metadata() or {}).get("proground.map", "{}"))
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except SafetensorError as error:
         raise ProgroundError(
             f"cannot be read as a map ({error})", where=path, todo="run the replay again"
         ) from error
-    if metadata.get("version") != MAP_VERSION:
+    if header.get("version") != MAP_VERSION:
         raise ProgroundError(
-            f"has map version {metadata.get('version')}, this pglog reads {MAP_VERSION}",
+            f"has map version {header.get('version')}, this pglog reads {MAP_VERSION}",
             where=path,
             todo="run the replay again with this version of pglog",
         )
-    lower_m, upper_m = json.loads(metadata["bounds"])
-    bounds = Bounds(tuple(lower_m), tuple(upper_m))
-    field = NeuralField(FieldConfig(**json.loads(metadata["field"])), bounds, seed=0)
+    bounds = Bounds(*(tuple(header["bounds"][corner]) for corner in ("lower_m", "upper_m")))
+    field = NeuralField(FieldConfig(**header["field"]), bounds, seed=0)
     with torch.no_grad():
         for name, parameter in field.named_parameters():
             parameter.copy_(torch.from_numpy(tensors[f"field/{name}"]))

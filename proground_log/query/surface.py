@@ -62,14 +62,15 @@ def extract_mesh(content: NeuralMap, voxel_m: float) -> Mesh:
         nothing = np.zeros((0, 3), np.float32)
         return Mesh(nothing, np.zeros((0, 3), np.int32), nothing, np.zeros((0, 3), np.uint8))
     vertices, faces, normals, _ = marching_cubes(
-        sdf, level=0.0, spacing=(voxel_m,) * 3, mask=near, gradient_direction="ascent"
+        sdf, level=0.0, spacing=(voxel_m,) * 3, mask=near, gradient_direction="descent"
     )
     vertices_m = (vertices + lower_m).astype(np.float32)
     colors = _ask(field, vertices_m, colors=True)
     return Mesh(
         vertices_m=vertices_m,
         faces=faces.astype(np.int32),
-        normals=normals.astype(np.float32),
+        # skimage has them point to lower values, which is into the surface.
+        normals=-normals.astype(np.float32),
         colors=(colors * 255).round().astype(np.uint8),
     )
 

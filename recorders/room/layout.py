@@ -4,23 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 
+from proground_log.streams import stream
 from recorders.room import furniture, things
 from recorders.room.colors import Colors, deal_colors
 from recorders.room.furniture import COUNTER_TOP_M, SHELF_TOPS_M
 from recorders.room.scene import Furnisher, Scene
-from recorders.room.seeding import Purpose, stream
 from recorders.room.shell import ROOM_M, shell_parts
 
 
 def furnish(seed: int) -> Scene:
     """The room of a seed: always the same objects, with other colours and small shifts."""
-    room = Furnisher(stream(seed, Purpose.PLACEMENT))
-    colors = deal_colors(stream(seed, Purpose.COLORS))
+    room = Furnisher(stream(seed, "room placement"))
+    colors = deal_colors(stream(seed, "room colors"))
     for class_name, color, part in shell_parts(colors):
         room.put(class_name, color, (part,), (0.0, 0.0, 0.0))
     _hang(room, colors)
     _sleep(room, colors)
-    _shelve(room, stream(seed, Purpose.BOOKS))
+    _shelve(room, stream(seed, "room books"))
     _lounge(room, colors)
     _dine(room, colors)
     _cook(room, colors)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from recorders.room.seeding import Purpose, stream
+from proground_log.streams import stream
 
 CENTER_M = (2.95, 2.5)
 
@@ -44,7 +44,7 @@ def camera_poses(seed: int, frames: int) -> np.ndarray:
 
     The seed shifts the waypoints by some centimetres and chooses where the way begins.
     """
-    rng = stream(seed, Purpose.PATH)
+    rng = stream(seed, "room path")
     turn, radius_x, radius_y, height_m, gaze, pitch = WAYPOINTS.T
     angle = np.radians(turn)
     shift_m = rng.uniform(-SHIFT_M, SHIFT_M, (len(WAYPOINTS), 3))

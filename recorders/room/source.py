@@ -10,6 +10,7 @@ import numpy as np
 from proground_log.camera import Calibration, Camera
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
+from proground_log.streams import stream
 from recorders.room.geometry import Grid, grid_points, pack
 from recorders.room.layout import furnish
 from recorders.room.light import bake
@@ -18,7 +19,6 @@ from recorders.room.noise import noisy_color, noisy_depth
 from recorders.room.path import camera_poses
 from recorders.room.render import look, paint
 from recorders.room.scene import LABEL_NAMES, RoomObject
-from recorders.room.seeding import Purpose, stream
 
 CAMERA = Camera(width=320, height=240, fx=200.0, fy=200.0, cx=160.0, cy=120.0)
 """77 degrees wide."""
@@ -82,10 +82,8 @@ class RoomSource:
         color = paint(self._geometry, self._light, CAMERA, pose, view)
         depth_m = view.depth_m
         if self._noise:
-            depth_m = noisy_depth(
-                depth_m, view.rays, stream(self._seed, Purpose.DEPTH_NOISE, index)
-            )
-            color = noisy_color(color, stream(self._seed, Purpose.COLOR_NOISE, index))
+            depth_m = noisy_depth(depth_m, view.rays, stream(self._seed, "depth noise", index))
+            color = noisy_color(color, stream(self._seed, "color noise", index))
         labels = np.append(self._scene.labels, np.uint16(0))[view.bodies]
         return SensorFrame(
             index=index,

@@ -1,0 +1,57 @@
+"""The benchmark: python -m benchmarks [step] [log] [kitchen] [house] [memory].
+
+Compares side by side in one run and prints ratios, since machines are shared and noisy. Writes
+bench.json. What needs the real recordings beside the repository is left out where they are not.
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+import sys
+from pathlib import Path
+
+import torch
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks import log, mapping, step
+from benchmarks.rows import Row
+
+SECTIONS = {
+    "step": step.measure,
+    "log": log.measure,
+    "kitchen": mapping.measure_kitchen,
+    "house": mapping.measure_house,
+    "memory": mapping.measure_memory,
+}
+
+
+def main(wanted: list[str]) -> None:
+    """Measure the wanted sections, or all, and print and write what came out."""
+    console = Console()
+    rows: list[Row] = []
+    for name, measure in SECTIONS.items():
+        if wanted and name not in wanted:
+            continue
+        console.print(f"measuring {name} ...")
+        rows += measure()
+    table = Table("what", "measured", "aim", "", title="proground-log benchmark")
+    for row in rows:
+        verdict = "" if row.met is None else "met" if row.met else "MISSED"
+        table.add_row(row.what, f"{row.value:.3g} {row.unit}", row.aim, verdict)
+    console.print(table)
+    content = {
+        "machine": {
+            "processor": platform.processor() or platform.machine(),
+            "capability": torch.backends.cpu.get_cpu_capability(),
+            "threads": torch.get_num_threads(),
+            "torch": torch.__version__,
+        },
+        "rows": [row.to_json() for row in rows],
+    }
+    Path("bench.json").write_text(json.dumps(content, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

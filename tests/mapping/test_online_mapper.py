@@ -1,0 +1,179 @@
+"""The online mapper on a scene with a known answer: a wall, two metres ahead, in two colours."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from proground_log.bounds import Bounds
+from proground_log.camera import Camera
+from proground_log.field.config import FieldConfig
+from proground_log.frame import Frame
+from proground_log.mapping.config import BufferConfig, MapperConfig, SamplingConfig
+from proground_log.mapping.map_file import NeuralMap, load_map, save_map
+from proground_log.mapping.online_mapper import OnlineMapper
+from proground_log.query.surface import extract_mesh
+
+CAMERA = Camera(40, 30, 30.0, 30.0, 20.0, 15.0)
+BOUNDS = Bounds((-2.0, -1.5, 0.0), (2.0, 1.5, 2.5))
+WALL_M = 2.0
+CONFIG = MapperConfig(
+    field=FieldConfig(log2_rows=12, levels=8, voxel_m=0.05),
+    sampling=SamplingConfig(rays=256, uniform=12, near_surface=7),
+    buffer=BufferConfig(capacity=2000, keyframe_every=2, keyframe_samples=300),
+)
+
+
+def wall_frame(index: int, shift_m: float = 0.0) -> Frame:
+    """Red left of x = 0, green right of it; the camera looks along z from (shift, 0, 0)."""
+    pose = np.eye(4)
+    pose[0, 3] = shift_m
+    x_m = CAMERA.directions[..., 0] * WALL_M + shift_m
+    color = np.zeros((30, 40, 3), np.uint8)
+    color[x_m < 0, 0] = 200
+    color[x_m >= 0, 1] = 200
+    depth_m = np.full((30, 40), WALL_M, np.float32)
+    valid = np.ones((30, 40), bool)
+    return Frame(index, index * 10**8, CAMERA, pose, depth_m, color, valid, None)
+
+
+def mapped(config: MapperConfig = CONFIG, *, seed: int = 0, frames: int = 6) -> OnlineMapper:
+    mapper = OnlineMapper(config, BOUNDS, seed, "cpu")
+    for index in range(frames):
+        mapper.insert(wall_frame(index, 0.1 * index))
+        for _ in range(15):
+            mapper.step()
+    return mapper
+
+
+@pytest.fixture(scope="module")
+def wall() -> OnlineMapper:
+    return mapped()
+
+
+def test_it_learns_the_wall(wall: OnlineMapper) -> None:
+    content = NeuralMap(wall.field, wall.observed)
+    frame = wall_frame(0, 0.25)
+    color, depth_m = content.render(CAMERA, frame.world_from_camera)
+    assert np.abs(depth_m - WALL_M).mean() < 0.02
+    away_from_the_border = np.abs(CAMERA.directions[..., 0] * WALL_M + 0.25) > 0.15
+    error = np.abs(color.astype(int) - frame.color)[away_from_the_border]
+    assert error.mean() < 12
+
+
+def test_sdf_is_the_signed_distance_in_truncations(wall: OnlineMapper) -> None:
+    z_m = torch.tensor([1.0, 1.5, 1.95, 2.0, 2.05])
+    points_m = torch.stack([torch.full((5,), 0.3), torch.full((5,), 0.2), z_m], dim=1)
+    with torch.no_grad():
+        sdf = wall.field.sdf(wall.field.normalise(points_m)[0])
+    np.testing.assert_allclose(sdf, [1.0, 1.0, 0.5, 0.0, -0.5], atol=0.2)
+
+
+def test_the_mesh_is_the_wall_and_only_where_it_was_seen(wall: OnlineMapper) -> None:
+    mesh = extract_mesh(NeuralMap(wall.field, wall.observed), 0.05)
+    assert len(mesh.vertices_m) > 500
+    assert np.abs(mesh.vertices_m[:, 2] - WALL_M).mean() < 0.02
+    seen_to_m = np.abs(CAMERA.directions[..., 0]).max() * WALL_M + 0.5
+    assert np.abs(mesh.vertices_m[:, 0]).max() < seen_to_m + 0.15
+    # Free space is on the camera's side, at smaller z; so are normals, and faces look there.
+    well_seen = (np.abs(mesh.vertices_m[:, :2]) < (1.0, 0.7)).all(axis=1)
+    assert (mesh.normals[well_seen, 2] < -0.5).mean() > 0.95
+    a, b, c = (mesh.vertices_m[mesh.faces[:, i]] for i in range(3))
+    facing = np.cross(b - a, c - a)[:, 2] < 0
+    assert facing[well_seen[mesh.faces].all(axis=1)].mean() > 0.95
+    left, right = mesh.vertices_m[:, 0] < -0.3, mesh.vertices_m[:, 0] > 0.3
+    assert (mesh.colors[left, 0] > 120).mean() > 0.9
+    assert (mesh.colors[right, 1] > 120).mean() > 0.9
+
+
+def test_the_same_seed_gives_the_same_map_and_another_seed_another() -> None:
+    first, second, third = mapped(frames=2), mapped(frames=2), mapped(frames=2, seed=1)
+    state, same, other = first.state(), second.state(), third.state()
+    for name, array in state.items():
+        np.testing.assert_array_equal(array, same[name], err_msg=name)
+    assert not np.array_equal(state["field/table"], other["field/table"])
+
+
+def test_a_restored_mapper_goes_on_as_if_nothing_had_happened() -> None:
+    whole = mapped(frames=4)
+    half = mapped(frames=2)
+    state = {name: array.copy() for name, array in half.state().items()}
+    resumed = OnlineMapper(CONFIG, BOUNDS, 0, "cpu")
+    resumed.restore(state)
+    for index in (2, 3):
+        resumed.insert(wall_frame(index, 0.1 * index))
+        for _ in range(15):
+            resumed.step()
+    expected, found = whole.state(), resumed.state()
+    assert expected.keys() == found.keys()
+    for name, array in expected.items():
+        np.testing.assert_array_equal(array, found[name], err_msg=name)
+
+
+def test_beta_weighs_replayed_rays_against_current_ones() -> None:
+    """With beta = 0 the replayed rays must not matter (Eq. 2), whatever they show."""
+
+    def first_step_after_a_lie(beta: float, lie: bool) -> dict[str, float]:
+        mapper = OnlineMapper(replace(CONFIG, beta=beta), BOUNDS, 0, "cpu")
+        frame = wall_frame(0)
+        if lie:
+            frame = replace(frame, color=255 - frame.color)
+        mapper.insert(frame)
+        mapper.insert(wall_frame(1))
+        result = mapper.step()
+        assert result is not None
+        assert result.rays_current == 64
+        assert result.rays_replayed == 192
+        return result.losses
+
+    assert first_step_after_a_lie(0.0, True) == first_step_after_a_lie(0.0, False)
+    assert first_step_after_a_lie(1.0, True)["rgb"] != first_step_after_a_lie(1.0, False)["rgb"]
+
+
+def test_keyframes_come_as_often_as_configured_and_the_buffer_stays_bounded() -> None:
+    mapper = OnlineMapper(CONFIG, BOUNDS, 0, "cpu")
+    keyframes = [mapper.insert(wall_frame(i, 0.02 * i)) is not None for i in range(30)]
+    assert keyframes == [True, False] * 15
+    assert len(mapper.buffer) <= 2000
+
+
+def test_a_frame_without_depth_is_survived() -> None:
+    mapper = OnlineMapper(CONFIG, BOUNDS, 0, "cpu")
+    blind = replace(wall_frame(0), depth_m=np.zeros((30, 40), np.float32))
+    assert mapper.insert(blind) is None
+    assert mapper.step() is None
+    mapper.insert(wall_frame(1))
+    mapper.insert(wall_frame(2))
+    mapper.insert(blind)
+    result = mapper.step()
+    assert result is not None
+    assert result.rays_current == 0
+
+
+def test_every_term_of_the_total_counts(wall: OnlineMapper) -> None:
+    result = wall.step()
+    assert result is not None
+    weights = CONFIG.weights
+    expected = sum(
+        getattr(weights, name) * value for name, value in result.losses.items() if name != "total"
+    )
+    assert result.losses["total"] == pytest.approx(expected, rel=1e-5)
+    assert set(result.losses) == {"rgb", "depth", "sdf", "free_space", "smoothness", "total"}
+
+
+def test_a_saved_map_is_the_map(wall: OnlineMapper, tmp_path) -> None:  # type: ignore[no-untyped-def]
+    content = NeuralMap(wall.field, wall.observed)
+    save_map(tmp_path / "a.safetensors", content)
+    save_map(tmp_path / "b.safetensors", content)
+    assert (tmp_path / "a.safetensors").read_bytes() == (tmp_path / "b.safetensors").read_bytes()
+    loaded = load_map(tmp_path / "a.safetensors")
+    pose = wall_frame(0).world_from_camera
+    for ours, theirs in zip(content.render(CAMERA, pose), loaded.render(CAMERA, pose), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    parts = content.sizes_bytes()
+    assert (tmp_path / "a.safetensors").stat().st_size == pytest.approx(
+        sum(parts.values()), abs=3000
+    )

@@ -1,0 +1,274 @@
+"""The contract of replay: the same ledger bit for bit, however it comes about."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from proground_log.errors import ProgroundError
+from proground_log.events import Event, FrameDone
+from proground_log.field.config import FieldConfig
+from proground_log.frame import Selection
+from proground_log.mapping.config import BufferConfig, MapperConfig, SamplingConfig
+from replay.config import ReplayConfig, TelemetryConfig
+from replay.diff import compare_runs
+from replay.ledger import read_ledger
+from replay.run_folder import RunFolder
+from replay.session import ReplayStoppedError, replay
+
+SMALL = ReplayConfig(
+    steps=3,
+    hold_out_every=5,
+    digest_every=4,
+    checkpoint_every=4,
+    mapper=MapperConfig(
+        field=FieldConfig(log2_rows=12, levels=8, voxel_m=0.05),
+        sampling=SamplingConfig(rays=128, uniform=10, near_surface=7),
+        buffer=BufferConfig(capacity=3000, keyframe_every=2, keyframe_samples=900),
+    ),
+    telemetry=TelemetryConfig(view_every=4, view_width=40, mesh_every=8, mesh_voxel_m=0.15),
+)
+SMALL_FLAGS = [
+    *("--steps", "3"),
+    *("--hold-out-every", "5"),
+    *("--digest-every", "4"),
+    *("--checkpoint-every", "4"),
+    *("--mapper.field.log2-rows", "12"),
+    *("--mapper.field.levels", "8"),
+    *("--mapper.field.voxel-m", "0.05"),
+    *("--mapper.sampling.rays", "128"),
+    *("--mapper.sampling.uniform", "10"),
+    *("--mapper.sampling.near-surface", "7"),
+    *("--mapper.buffer.capacity", "3000"),
+    *("--mapper.buffer.keyframe-every", "2"),
+    *("--mapper.buffer.keyframe-samples", "900"),
+    *("--telemetry.view-every", "4"),
+    *("--telemetry.view-width", "40"),
+    *("--telemetry.mesh-every", "8"),
+    *("--telemetry.mesh-voxel-m", "0.15"),
+]
+
+
+class StopAfter:
+    """Presses Ctrl-C after so many frames, as a user would: with a signal."""
+
+    def __init__(self, frames: int) -> None:
+        self._left = frames
+
+    def on_event(self, event: Event) -> None:
+        if isinstance(event, FrameDone):
+            self._left -= 1
+            if self._left == 0:
+                os.kill(os.getpid(), signal.SIGINT)
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture(scope="module")
+def reference_run(room_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    run = tmp_path_factory.mktemp("reference") / "run"
+    replay(room_log, run, SMALL)
+    return run
+
+
+def ledger_bytes(run: Path) -> bytes:
+    return RunFolder(run).ledger.read_bytes()
+
+
+def test_twice_is_the_same(room_log: Path, reference_run: Path, tmp_path: Path) -> None:
+    replay(room_log, tmp_path / "run", SMALL)
+    assert ledger_bytes(tmp_path / "run") == ledger_bytes(reference_run)
+    maps = [RunFolder(run).map.read_bytes() for run in (reference_run, tmp_path / "run")]
+    assert maps[0] == maps[1]
+    assert compare_runs(reference_run, tmp_path / "run").is_same
+
+
+def test_telemetry_does_not_touch_the_map(
+    room_log: Path, reference_run: Path, tmp_path: Path
+) -> None:
+    replay(room_log, tmp_path / "run", replace(SMALL, telemetry=TelemetryConfig(enabled=False)))
+    assert ledger_bytes(tmp_path / "run") == ledger_bytes(reference_run)
+    assert not RunFolder(tmp_path / "run").telemetry.exists()
+
+
+@pytest.mark.parametrize("threads", [1, 2, 4])
+def test_any_number_of_threads_gives_the_same_ledger(
+    room_log: Path, reference_run: Path, tmp_path: Path, threads: int
+) -> None:
+    count = str(threads)
+    environment = {**os.environ, "NUMBA_NUM_THREADS": count, "OMP_NUM_THREADS": count}
+    command = [sys.executable, "-m", "proground_log.cli", "replay", str(room_log)]
+    subprocess.run(
+        [*command, "-o", str(tmp_path / "run"), "--threads", count, *SMALL_FLAGS],
+        env=environment,
+        check=True,
+        capture_output=True,
+    )
+    assert ledger_bytes(tmp_path / "run") == ledger_bytes(reference_run)
+
+
+@pytest.mark.parametrize("stops", [[1], [4], [3, 5]])
+def test_stopped_by_ctrl_c_and_resumed_gives_the_same_ledger(
+    room_log: Path, reference_run: Path, tmp_path: Path, stops: list[int]
+) -> None:
+    run = tmp_path / "run"
+    for number, frames in enumerate(stops):
+        with pytest.raises(ReplayStoppedError, match="--resume"):
+            replay(
+                room_log,
+                run,
+                SMALL,
+                resume=number > 0,
+                watchers=lambda _, frames=frames: [StopAfter(frames)],  # type: ignore[misc]
+            )
+        assert not RunFolder(run).is_finished
+    replay(room_log, run, ReplayConfig(), resume=True)
+    assert ledger_bytes(run) == ledger_bytes(reference_run)
+    assert RunFolder(run).map.read_bytes() == RunFolder(reference_run).map.read_bytes()
+    names = sorted(path.name for path in run.iterdir())
+    assert names == ["ledger.jsonl", "manifest.json", "map.safetensors", "telemetry.rrd"]
+
+
+def test_killed_and_resumed_gives_the_same_ledger(
+    room_log: Path, reference_run: Path, tmp_path: Path
+) -> None:
+    run = tmp_path / "run"
+    command = [sys.executable, "-m", "proground_log.cli", "replay", str(room_log), "-o", str(run)]
+    process = subprocess.Popen([*command, *SMALL_FLAGS], stderr=subprocess.DEVNULL)
+    checkpoint = RunFolder(run).checkpoint
+    while not checkpoint.is_file() and process.poll() is None:
+        time.sleep(0.01)
+    process.kill()
+    process.wait()
+    assert not RunFolder(run).is_finished
+    replay(room_log, run, ReplayConfig(), resume=True)
+    assert ledger_bytes(run) == ledger_bytes(reference_run)
+
+
+def test_another_seed_differs_from_the_first_step(
+    room_log: Path, reference_run: Path, tmp_path: Path
+) -> None:
+    replay(room_log, tmp_path / "run", replace(SMALL, seed=1))
+    comparison = compare_runs(reference_run, tmp_path / "run")
+    assert not comparison.is_same
+    assert comparison.origins == ["config.seed: 0 | 1"]
+    divergence = comparison.divergence
+    assert divergence is not None
+    assert (divergence.frame, divergence.step) == (0, 0)
+    assert divergence.cause == "random draw"
+    assert any("ulp" in detail for detail in divergence.details)
+    assert "table" in comparison.tensors
+
+
+def test_diff_names_the_first_step_and_the_loss(
+    room_log: Path, reference_run: Path, tmp_path: Path
+) -> None:
+    """A weight that differs changes the total at once, each term only a step later."""
+    weights = replace(SMALL.mapper.weights, sdf=201.0)
+    config = replace(SMALL, mapper=replace(SMALL.mapper, weights=weights))
+    replay(room_log, tmp_path / "run", config)
+    comparison = compare_runs(reference_run, tmp_path / "run")
+    assert comparison.origins == ["config.mapper.weights.sdf: 200.0 | 201.0"]
+    divergence = comparison.divergence
+    assert divergence is not None
+    assert (divergence.step, divergence.cause) == (0, "loss")
+    assert [detail.split(":")[0] for detail in divergence.details] == ["loss total"]
+
+
+def test_diff_names_a_frame_that_is_missing(
+    room_log: Path, reference_run: Path, tmp_path: Path
+) -> None:
+    replay(room_log, tmp_path / "run", replace(SMALL, max_frames=6))
+    divergence = compare_runs(reference_run, tmp_path / "run").divergence
+    assert divergence is not None
+    assert (divergence.frame, divergence.cause) == (6, "schedule")
+
+
+def test_the_ledger_tells_when_it_was_changed(reference_run: Path, tmp_path: Path) -> None:
+    lines = RunFolder(reference_run).ledger.read_text().splitlines()
+    entry = json.loads(lines[5])
+    entry["frame"] += 1
+    lines[5] = json.dumps(entry, separators=(",", ":"))
+    changed = tmp_path / "ledger.jsonl"
+    changed.write_text("\n".join(lines) + "\n")
+    with pytest.raises(ProgroundError, match="line 7"):
+        list(read_ledger(changed))
+
+
+def test_the_ledger_has_everything(reference_run: Path) -> None:
+    entries = list(read_ledger(RunFolder(reference_run).ledger))
+    frames = [entry for entry in entries if entry["event"] == "frame"]
+    steps = [entry for entry in entries if entry["event"] == "step"]
+    assert [entry["frame"] for entry in frames] == list(range(12))
+    assert [entry["frame"] for entry in frames if entry["held_out"]] == [4, 9]
+    assert [entry["step"] for entry in steps] == list(range(30))
+    assert {entry["frame"] for entry in steps} == {0, 1, 2, 3, 5, 6, 7, 8, 10, 11}
+    for entry in steps:
+        assert set(entry["losses"]) >= {"rgb", "depth", "sdf", "free_space", "smoothness", "total"}
+        assert len(entry["draws"]) == 64
+    states = [entry for entry in entries if entry["event"] == "state"]
+    assert [entry["step"] for entry in states] == [4, 8, 12, 16, 20, 24, 28, 30]
+    parts = {name.split("/")[0] for name in states[-1]["digests"]}
+    assert parts == {"field", "optimiser", "buffer", "observed", "mapped"}
+
+
+def test_selection_of_frames(room_log: Path, tmp_path: Path) -> None:
+    config = ReplayConfig(
+        steps=1,
+        selection=Selection(start=1, stop=9, stride=3),
+        max_frames=2,
+        mapper=SMALL.mapper,
+        telemetry=TelemetryConfig(enabled=False),
+    )
+    manifest = replay(room_log, tmp_path / "run", config)
+    entries = list(read_ledger(RunFolder(tmp_path / "run").ledger))
+    assert [e["frame"] for e in entries if e["event"] == "frame"] == [1, 4]
+    assert manifest.result is not None
+    assert manifest.result["frames mapped"] == 2
+
+
+def test_resume_refuses_another_log_and_other_options(room_log: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    with pytest.raises(ReplayStoppedError):
+        replay(room_log, run, SMALL, watchers=lambda _: [StopAfter(2)])
+    with pytest.raises(ProgroundError, match="options differ"):
+        replay(room_log, run, ReplayConfig(steps=7), resume=True)
+    other = tmp_path / "other.mcap"
+    other.write_bytes(room_log.read_bytes())
+    replay(other, run, ReplayConfig(), resume=True)
+    with pytest.raises(ProgroundError, match="no run to resume"):
+        replay(room_log, tmp_path / "nothing", ReplayConfig(), resume=True)
+
+
+GOLDEN = Path(__file__).parent / "golden"
+
+
+def test_the_built_in_room_gives_the_golden_ledger(reference_run: Path) -> None:
+    """The reference is bit-exact on the kind of machine it was made on, and close elsewhere.
+
+    `python -m tests.replay.golden` writes it anew.
+    """
+    from replay.ledger import bits_float
+    from tests.replay.golden import machine
+
+    golden = json.loads((GOLDEN / "room.json").read_text())
+    entries = list(read_ledger(RunFolder(reference_run).ledger))
+    if golden["machine"] == machine():
+        assert golden["ledger"] == entries
+        return
+    assert torch.backends.cpu.get_cpu_capability()
+    found = [e["losses"] for e in entries if e["event"] == "step"]
+    expected = [e["losses"] for e in golden["ledger"] if e["event"] == "step"]
+    for step, (a, b) in enumerate(zip(found, expected, strict=True)):
+        for name in ("rgb", "sdf", "free_space"):
+            assert bits_float(a[name]) == pytest.approx(bits_float(b[name]), rel=0.05), (step, name)
