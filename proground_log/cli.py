@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 from tyro.conf import Positional
 
 from proground_log.errors import ProgroundError
@@ -159,8 +159,8 @@ def check_command(log: Log, *, as_json: AsJson = False) -> int:
     if as_json:
         print(json.dumps([dataclasses.asdict(fault) for fault in faults], indent=2))
     elif faults:
-        count = "1 fault" if len(faults) == 1 else f"{len(faults)} faults"
-        table = Table("frame", "topic", "fault", title=f"{count} in {log}")
+        print(f"{log}: {len(faults)} {'fault' if len(faults) == 1 else 'faults'}")
+        table = Table(*(Column(name, overflow="fold") for name in ("frame", "topic", "fault")))
         for fault in faults:
             table.add_row(fault.frame, fault.topic, fault.what)
         out.print(table)
@@ -369,9 +369,7 @@ def _progress(what: str) -> Iterator[Callable[[int, int], None]]:
 
 
 def _print_table(title: str, rows: dict[str, str]) -> None:
-    table = Table(show_header=False)
-    table.add_column(overflow="fold")
-    table.add_column(overflow="fold")
+    table = Table(Column(overflow="fold"), Column(overflow="fold"), show_header=False)
     for name, value in rows.items():
         table.add_row(name, value)
     print(title)

@@ -31,11 +31,14 @@ def replay_blueprint() -> rrb.Blueprint:
     )
 
 
-def log_blueprint(*, with_labels: bool = False) -> rrb.Blueprint:
+def log_blueprint(
+    *, with_labels: bool = False, up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+) -> rrb.Blueprint:
     """The layout of a log as recorded: depth in space, the camera moving, both images.
 
     Args:
         with_labels: whether the log has ground truth labels to show.
+        up: the world's upward direction.
     """
     pictures = [
         rrb.Spatial2DView(origin=COLOR, name="Colour"),
@@ -48,6 +51,7 @@ def log_blueprint(*, with_labels: bool = False) -> rrb.Blueprint:
         contents=["+ /**", "- /ground_truth/**", "- /perception/**"],
         name="Scene",
         background=rrb.Background(color=BACKGROUND),
+        eye_controls=rrb.EyeControls3D(eye_up=up),
     )
     return rrb.Blueprint(
         rrb.Horizontal(scene, rrb.Vertical(*pictures), column_shares=[5, 3]),

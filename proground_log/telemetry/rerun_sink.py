@@ -24,6 +24,7 @@ from proground_log.files import disk_errors
 from proground_log.telemetry import images
 from proground_log.telemetry.blueprint import APPLICATION_ID, replay_blueprint
 from proground_log.telemetry.columns import Moment, ScalarColumns
+from proground_log.telemetry.upright import VIEW_COORDINATES, up_axis
 
 CAMERA_IMAGE_WIDTH = 320
 """Width in pixels of the picture in the camera's frustum."""
@@ -75,7 +76,6 @@ class TelemetrySink:
         self._camera: Camera | None = None
         self._recording = open_recording(path, recording_id)
         self._scalars = ScalarColumns(self._recording)
-        self._log_static("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         self._styled: set[str] = set()
 
     def on_event(self, event: Event) -> None:
@@ -115,6 +115,8 @@ class TelemetrySink:
         if frame.camera != self._camera:
             self._camera = frame.camera
             self._log_static("world/camera", pinhole(frame.camera))
+            up = up_axis(frame.world_from_camera)
+            self._log_static("world", VIEW_COORDINATES[up])
         pose = frame.world_from_camera
         self._log("world/camera", rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
         self._log("world/camera", images.jpeg(images.fit_width(frame.color, CAMERA_IMAGE_WIDTH)))

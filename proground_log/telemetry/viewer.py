@@ -14,13 +14,13 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import rerun as rr
-from rerun.chunk import McapReader
 from rerun.experimental import ViewerClient
 
 from proground_log.errors import ProgroundError
 from proground_log.files import require_file
-from proground_log.log.topics import LABELS_PREVIEW
+from proground_log.log.reader import LogReader
 from proground_log.telemetry.blueprint import log_blueprint
+from proground_log.telemetry.upright import up_vector
 
 TELEMETRY_FILE = "telemetry.rrd"
 LOCALHOST = "127.0.0.1"
@@ -139,17 +139,14 @@ def _telemetry_of(path: Path) -> Path:
 
 def _convert(log: Path, recording_path: Path) -> Path:
     """A log as a recording with a blueprint of its own."""
-    require_file(log)
-    try:
-        held = {channel.topic for channel in McapReader(log).info().channels}
-    except (RuntimeError, ValueError, OSError) as error:
-        raise ProgroundError(
-            f"rerun cannot read it ({error})", where=log, todo="try `pglog recover` on it"
-        ) from error
+    reader = LogReader(log)
+    first = next(reader.frames([0]))
     recording = rr.RecordingStream(log.stem, send_properties=False)
     recording.set_log_time_enabled(False)
     recording.set_log_tick_enabled(False)
-    blueprint = log_blueprint(with_labels=LABELS_PREVIEW in held)
+    blueprint = log_blueprint(
+        with_labels=first.labels is not None, up=up_vector(first.world_from_camera)
+    )
     recording.save(recording_path, default_blueprint=blueprint)
     recording.log_file_from_path(log)
     recording.flush()
