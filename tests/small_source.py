@@ -8,7 +8,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from mcap.records import Metadata
 from scipy.spatial.transform import Rotation
 
 from proground_log.bounds import Bounds
@@ -103,9 +102,3 @@ def with_frame(source: SmallSource, index: int, **changes: object) -> list[Senso
     frames = [source.frame(i) for i in range(len(source))]
     frames[index] = replace(frames[index], **changes)
     return frames
-
-
-def metadata_of_version(version: str) -> Metadata:
-    """The metadata of a log that another pglog wrote."""
-    recording = Recording("small data", "small", 1, BOUNDS, {})
-    return Metadata("proground.recording", {**recording.to_metadata(), "schema_version": version})

@@ -13,7 +13,6 @@ import time
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -589,6 +588,7 @@ def test_wrong_options_of_replay(pglog: Pglog, small_log: Path, tmp_path: Path) 
         assert not run.exists()
 
 
+@pytest.mark.long
 def test_a_log_is_mapped_judged_exported_and_compared(
     pglog: Pglog, room_log: Path, tmp_path: Path
 ) -> None:
@@ -616,9 +616,3 @@ def test_a_log_is_mapped_judged_exported_and_compared(
     write_log(moved)
     answer = pglog("evaluate", runs[0], "--log", moved)
     assert_one_clear_line(answer, "moved.mcap: is not the log that the run was made of")
-
-
-def test_frames_of_the_room_are_in_order(room_log: Path) -> None:
-    frames = list(LogReader(room_log).frames())
-    assert len(frames) == 12
-    assert all(a.stamp_ns < b.stamp_ns for a, b in pairwise(frames))
