@@ -14,6 +14,7 @@ from proground_log.log.registration import Registration
 from proground_log.mapping.config import MapperConfig, SamplingConfig
 from proground_log.mapping.online_mapper import OnlineMapper
 from recorders.room import RoomSource
+from replay.device import choose_device
 
 FRAMES = 8
 STEPS_BEFORE = 3
@@ -35,6 +36,7 @@ def mapper_in_the_room() -> OnlineMapper:
 
 def measure() -> list[Row]:
     """Times and ratios of a step of 1024 rays x 43 samples."""
+    choose_device("cpu")  # as a replay does: torch computes deterministically
     ours, plain = mapper_in_the_room(), mapper_in_the_room()
     field = plain.field
     field.hash_features = partial(  # type: ignore[method-assign]

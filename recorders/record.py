@@ -10,6 +10,7 @@ from proground_log.frame import Selection
 from proground_log.log.recording import Recording
 from proground_log.log.writer import open_writer
 from recorders.bounds import BoundsEstimator
+from recorders.prefetch import prefetched
 from recorders.source import Source
 
 
@@ -40,8 +41,7 @@ def record(
     estimator = BoundsEstimator()
     with open_writer(output, source.calibration) as writer:
         progress(0, len(chosen))
-        for done, index in enumerate(chosen, start=1):
-            frame = source.frame(index)
+        for done, frame in enumerate(prefetched(source.frame, chosen), start=1):
             estimator.add(frame, source.calibration.depth)
             writer.write(frame)
             progress(done, len(chosen))

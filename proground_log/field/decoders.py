@@ -43,17 +43,17 @@ class Decoders(nn.Module):
     def geometry(self, hashed: Tensor, blob: Tensor) -> Tensor:
         """SDF in units of the truncation (column 0) and f_g, [N, 16]."""
         of_hash, of_blob = self.geometry_hidden.split([self.hash_features, self.blob_features], 1)
-        hidden = torch.addmm(blob @ of_blob.t(), hashed, of_hash.t()).relu()
+        hidden = torch.addmm(blob @ of_blob.t(), hashed, of_hash.t()).relu_()
         return hidden @ self.geometry_out.t()
 
     def sdf(self, hashed: Tensor, blob: Tensor) -> Tensor:
         """SDF alone, in units of the truncation, [N]."""
         of_hash, of_blob = self.geometry_hidden.split([self.hash_features, self.blob_features], 1)
-        hidden = torch.addmm(blob @ of_blob.t(), hashed, of_hash.t()).relu()
+        hidden = torch.addmm(blob @ of_blob.t(), hashed, of_hash.t()).relu_()
         return hidden @ self.geometry_out[0]
 
     def color(self, geometry: Tensor, blob: Tensor) -> tuple[Tensor, Tensor]:
         """Colour in [0, 1], [N, 3], and f_c, the hidden activation behind it, [N, 32]."""
         of_blob, of_geometry = self.color_hidden.split([self.blob_features, GEOMETRY_FEATURES], 1)
-        hidden = torch.addmm(blob @ of_blob.t(), geometry[:, 1:], of_geometry.t()).relu()
-        return (hidden @ self.color_out.t()).sigmoid(), hidden
+        hidden = torch.addmm(blob @ of_blob.t(), geometry[:, 1:], of_geometry.t()).relu_()
+        return (hidden @ self.color_out.t()).sigmoid_(), hidden

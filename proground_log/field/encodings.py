@@ -92,7 +92,7 @@ def hash_grid_torch(points: Tensor, table: Tensor, layout: HashGridLayout) -> Te
                 hashed = x ^ (y * int(kernels.PRIME_Y)) ^ (z * int(kernels.PRIME_Z))
                 row = hashed & int(layout.masks[level])
             row = row + int(layout.offsets[level])
-            mixed = mixed + weight[:, None] * table.index_select(0, row)
+            mixed = mixed + weight[:, None] * table[row]
         features.append(mixed)
     return torch.cat(features, dim=-1)
 
@@ -119,7 +119,7 @@ class _HashGridOnCpu(torch.autograd.Function):
     def backward(ctx: Any, gradient: Tensor) -> tuple[None, Tensor, None]:
         points, table = ctx.saved_tensors
         layout = ctx.layout
-        table_gradient = torch.zeros_like(table)
+        table_gradient = torch.empty_like(table)
         kernels.hash_grid_backward(
             points.numpy(),
             gradient.contiguous().numpy(),

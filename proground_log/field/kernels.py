@@ -102,9 +102,10 @@ def hash_grid_forward(points, table, scales, resolutions, offsets, masks, stretc
 
 @numba.njit(parallel=True, cache=True)
 def hash_grid_backward(points, gradient, scales, resolutions, offsets, masks, table_gradient):  # type: ignore[no-untyped-def]
-    """Add the gradient of the features, float32 [N, 2 levels], into that of the table."""
+    """Write the table's gradient, given that of the features, float32 [N, 2 levels]."""
     for level in numba.prange(scales.shape[0]):
         part = table_gradient[offsets[level] : offsets[level + 1]]
+        part[:] = _ZERO
         scale, resolution, mask = scales[level], resolutions[level], masks[level]
         if mask == 0:
             _scatter(points, gradient, scale, resolution, mask, True, 2 * level, part)

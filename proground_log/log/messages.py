@@ -7,6 +7,7 @@ depend on.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
@@ -119,6 +120,15 @@ def _header(stamp_ns: int, frame_id: str) -> SimpleNamespace:
     return SimpleNamespace(
         stamp=SimpleNamespace(sec=seconds, nanosec=nanoseconds), frame_id=frame_id
     )
+
+
+def restamped(encoded: bytes, stamp_ns: int) -> bytes:
+    """An encoded message that begins with a header, at another time.
+
+    In CDR the stamp follows the four bytes of the encapsulation.
+    """
+    seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+    return encoded[:4] + struct.pack("<iI", seconds, nanoseconds) + encoded[12:]
 
 
 def stamp_ns(message: Any) -> int:

@@ -57,6 +57,15 @@ class LogWriter:
             name: self._writer.register_schema(name, SchemaEncoding.ROS2, text.encode())
             for name, text in messages.DEFINITIONS.items()
         }
+        # The same in every frame but for their time, and slow to encode.
+        encode_info = self._encoders["sensor_msgs/msg/CameraInfo"]
+        self._camera_infos = {
+            topic: encode_info(messages.camera_info(camera, 0, frame_id))
+            for topic, camera, frame_id in (
+                (topics.COLOR_INFO, calibration.color, topics.COLOR_FRAME),
+                (topics.DEPTH_INFO, calibration.depth, topics.DEPTH_FRAME),
+            )
+        }
         self._channel_ids: dict[str, int] = {}
         self._frames = 0
         self._last_stamp_ns = -1
@@ -103,11 +112,8 @@ class LogWriter:
             frame.world_from_camera, stamp_ns, topics.WORLD_FRAME, topics.DEPTH_FRAME
         )
         self._add(topics.TF, stamp_ns, pose)
-        for topic, camera, frame_id in (
-            (topics.COLOR_INFO, cameras.color, topics.COLOR_FRAME),
-            (topics.DEPTH_INFO, cameras.depth, topics.DEPTH_FRAME),
-        ):
-            self._add(topic, stamp_ns, messages.camera_info(camera, stamp_ns, frame_id))
+        for topic, encoded in self._camera_infos.items():
+            self._add_encoded(topic, stamp_ns, messages.restamped(encoded, stamp_ns))
         color = messages.compressed_image(
             frame.color, frame.color_format, frame.color_stamp_ns, topics.COLOR_FRAME
         )
@@ -128,21 +134,23 @@ class LogWriter:
         self._add(topics.LABELS_PREVIEW, stamp_ns, preview)
 
     def _add(self, topic: str, stamp_ns: int, message: object) -> None:
-        message_type = _MESSAGE_TYPES[topic]
+        self._add_encoded(topic, stamp_ns, self._encoders[_MESSAGE_TYPES[topic]](message))
+
+    def _add_encoded(self, topic: str, stamp_ns: int, data: bytes) -> None:
         if topic not in self._channel_ids:
             metadata = {}
             if topic == topics.TF_STATIC:
                 # What a ROS 2 player needs to hand a static transform to late listeners.
                 metadata["offered_qos_profiles"] = "- durability: transient_local"
             self._channel_ids[topic] = self._writer.register_channel(
-                topic, MessageEncoding.CDR, self._schema_ids[message_type], metadata
+                topic, MessageEncoding.CDR, self._schema_ids[_MESSAGE_TYPES[topic]], metadata
             )
         self._writer.add_message(
             self._channel_ids[topic],
             log_time=stamp_ns,
             publish_time=stamp_ns,
             sequence=self._frames,
-            data=self._encoders[message_type](message),
+            data=data,
         )
 
     def finish(self, recording: Recording, label_names: dict[int, str], mesh: bytes | None) -> None:
