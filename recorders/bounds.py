@@ -11,7 +11,9 @@ from proground_log.frame import SensorFrame
 
 PIXEL_STRIDE = 8
 BINS_PER_M = 100
-TAIL = 0.005
+TAIL = 0.001
+"""Less would let a sensor's stray points widen the box; more cuts off walls that only a few of
+many frames saw (0.5 % did so in an 18 m long flat)."""
 MARGIN_BINS = 30
 STEP_BINS = 10
 FARTHEST_M = 10_000.0
@@ -97,7 +99,7 @@ class BoundsEstimator:
         self._is_empty = False
 
     def bounds(self) -> Bounds:
-        """The 0.5 and 99.5 percentiles, 0.3 m wider on each side, rounded outward to 0.1 m.
+        """The 0.1 and 99.9 percentiles, 0.3 m wider on each side, rounded outward to 0.1 m.
 
         Raises:
             ProgroundError: no frame had any valid depth.

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 class FieldConfig:
     """Size and resolution of the field."""
 
-    log2_rows: int = 16
-    """Rows of a hash level, as a power of two."""
+    log2_rows: int | None = None
+    """Rows of a hash level, as a power of two; by default 16 for a room, up to 19 for a house."""
     levels: int = 16
     """Levels of the hash grid."""
     base_resolution: int = 16

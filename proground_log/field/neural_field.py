@@ -19,6 +19,16 @@ from proground_log.field.encodings import (
 from proground_log.streams import stream
 
 
+ROOM_M3 = 150.0
+"""A box of this size gets hash levels of 2^16 rows, as Co-SLAM gives the rooms of Replica."""
+
+
+def log2_rows_for(bounds: Bounds) -> int:
+    """Rows of a hash level for a box, as a power of two: they grow with its volume, to 2^19."""
+    rooms = float(bounds.size_m.prod()) / ROOM_M3
+    return int(np.clip(round(16 + np.log2(rooms)), 16, 19))
+
+
 class NeuralField(nn.Module):
     """The paper's representation (4.2): hash grid and one-blob encoding, two small decoders.
 
@@ -33,7 +43,7 @@ class NeuralField(nn.Module):
         self.config, self.bounds = config, bounds
         self.layout = HashGridLayout(
             config.levels,
-            config.log2_rows,
+            config.log2_rows or log2_rows_for(bounds),
             config.base_resolution,
             float(bounds.size_m.max()) / config.voxel_m,
         )

@@ -14,6 +14,8 @@ MARCH_FRACTION = 0.8
 """Part of the distance to the surface, as the field has it, that a march dares to go."""
 SHORTEST_STEP = 0.1
 """Shortest step of a march, in truncations."""
+LOST_STEP = 0.5
+"""The same for a ray that met nothing that was seen: what it may yet meet is a guess anyway."""
 MOST_STEPS = 200
 SURFACE_SAMPLES = 16
 """Samples on each ray around the surface that the march found."""
@@ -94,9 +96,9 @@ def _render_rays(
     field: NeuralField, empty: EmptySpace, origin_m: Tensor, directions: Tensor, near_m: float
 ) -> tuple[Tensor, Tensor]:
     """Colour [R, 3] and depth [R] of the rays from one origin."""
-    surface_m = _march(field, empty, origin_m, directions, near_m)
+    surface_m = _march(field, empty, origin_m, directions, near_m, SHORTEST_STEP)
     lost = surface_m.isinf().nonzero()[:, 0]
-    surface_m[lost] = _march(field, None, origin_m, directions[lost], near_m)
+    surface_m[lost] = _march(field, None, origin_m, directions[lost], near_m, LOST_STEP)
     colors = torch.zeros_like(directions)
     depths_m = torch.zeros_like(surface_m)
     hit = surface_m.isfinite().nonzero()[:, 0]
@@ -121,6 +123,7 @@ def _march(
     origin_m: Tensor,
     directions: Tensor,
     near_m: float,
+    shortest_step: float,
 ) -> Tensor:
     """Depth in metres of the first change of sign along each ray [R]; infinite where none is."""
     tr_m = field.config.truncation_m
@@ -141,7 +144,7 @@ def _march(
         close = (step_m <= tr_m).nonzero()[:, 0]
         points, _ = field.normalise(points_m[close])
         sdf[close] = field.sdf(points)
-        step_m[close] = (sdf[close] * MARCH_FRACTION).clamp(SHORTEST_STEP, 1.0) * tr_m
+        step_m[close] = (sdf[close] * MARCH_FRACTION).clamp(shortest_step, 1.0) * tr_m
         crossed = sdf <= 0
         # Between the last sample outside and the first inside, the distance is taken as linear.
         share = previous_sdf / (previous_sdf - sdf).clamp_min(1e-6)

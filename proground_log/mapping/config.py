@@ -40,11 +40,11 @@ class LossWeights:
 class BufferConfig:
     """The replay buffer."""
 
-    capacity: int = 500_000
+    capacity: int = 1_000_000
     """Most samples held."""
-    keyframe_every: int = 5
+    keyframe_every: int = 2
     """Every so many mapped frames, one becomes a keyframe."""
-    keyframe_samples: int = 15_360
+    keyframe_samples: int = 10_000
     """Pixels kept of a keyframe."""
     place_m: float = 0.25
     """Side of the cells among which the buffer shares out its samples."""
