@@ -17,14 +17,14 @@ class TelemetryConfig:
 
     enabled: bool = True
     """Write telemetry.rrd."""
-    view_every: int = 10
+    view_every: int = 15
     """Every so many mapped frames, the frame's view is rendered."""
     view_width: int = 160
     """Width of the rendered views in pixels."""
-    mesh_every: int = 25
+    mesh_every: int = 30
     """Every so many mapped frames, the mesh is extracted."""
     mesh_voxel_m: float = 0.05
-    """Its voxels."""
+    """Its voxels; larger ones in a house, so that a mesh stays cheap."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class ReplayConfig:
     """Stop after so many of them."""
     hold_out_every: int = 0
     """Keep every so many-th arriving frame from the mapper, for `pglog evaluate`; 0: none."""
-    digest_every: int = 50
+    digest_every: int = 100
     """Steps between two fingerprints of the whole state in the ledger."""
     checkpoint_every: int = 50
     """Frames between two checkpoints, from which --resume goes on."""

@@ -46,6 +46,9 @@ from replay.ledger import LedgerSink
 from replay.manifest import Manifest, file_sha256
 from replay.run_folder import Checkpoint, RunFolder
 
+MOST_LATTICE_POINTS = 1_000_000
+"""Points of the lattice from which telemetry's meshes are made: a fraction of a second."""
+
 
 class ReplayStoppedError(Exception):
     """The user stopped the replay; the run can be resumed."""
@@ -264,10 +267,17 @@ class Session:
             self._emit(view)
         if last or number % telemetry.mesh_every == telemetry.mesh_every - 1:
             with self._timed("views"):
-                mesh = extract_mesh(self._map_so_far(), telemetry.mesh_voxel_m)
+                mesh = extract_mesh(self._map_so_far(), self._mesh_voxel_m())
             self._emit(
                 MeshExtracted(frame.index, mesh.vertices_m, mesh.faces, mesh.normals, mesh.colors)
             )
+
+    def _mesh_voxel_m(self) -> float:
+        """The voxel asked for, or a larger one where a lattice of it would be too large."""
+        volume_m3 = float(self._reader.recording.bounds.size_m.prod())
+        return max(
+            self._config.telemetry.mesh_voxel_m, (volume_m3 / MOST_LATTICE_POINTS) ** (1 / 3)
+        )
 
     def _view(self, frame: Frame) -> ViewRendered:
         width = min(self._config.telemetry.view_width, frame.camera.width)

@@ -18,7 +18,6 @@ from proground_log.field.encodings import (
 )
 from proground_log.streams import stream
 
-
 ROOM_M3 = 150.0
 """A box of this size gets hash levels of 2^16 rows, as Co-SLAM gives the rooms of Replica."""
 

@@ -19,7 +19,7 @@ from proground_log.field.config import FieldConfig
 from proground_log.field.neural_field import NeuralField
 from proground_log.field.view import EmptySpace, render_view
 from proground_log.files import require_file, written_whole
-from proground_log.mapping.observed import VOXEL_M, ObservedSurface
+from proground_log.mapping.observed import BLOCK_M, ObservedSurface
 
 MAP_VERSION = "1"
 NEAR_M = 0.05
@@ -45,7 +45,7 @@ class NeuralMap:
         empty = EmptySpace(
             self.observed.distance_m(),
             np.array(self.observed.bounds.lower_m),
-            VOXEL_M,
+            BLOCK_M,
             self.field.table.device,
         )
         return render_view(self.field, empty, camera, world_from_camera, near_m=near_m)

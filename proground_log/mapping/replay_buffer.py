@@ -9,7 +9,6 @@ import numpy as np
 from proground_log.events import BufferStatistics
 from proground_log.frame import Frame
 
-
 EVICTION_SHARE = 0.9
 """Part of the capacity that an eviction leaves: sorting all samples at every keyframe is slow."""
 
