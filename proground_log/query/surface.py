@@ -61,18 +61,33 @@ def extract_mesh(content: NeuralMap, voxel_m: float) -> Mesh:
     if not (near.any() and sdf[near].min() < 0 < sdf[near].max()):
         nothing = np.zeros((0, 3), np.float32)
         return Mesh(nothing, np.zeros((0, 3), np.int32), nothing, np.zeros((0, 3), np.uint8))
-    vertices, faces, normals, _ = marching_cubes(
-        sdf, level=0.0, spacing=(voxel_m,) * 3, mask=near, gradient_direction="descent"
+    vertices, faces, _, _ = marching_cubes(
+        sdf,
+        level=0.0,
+        spacing=(voxel_m,) * 3,
+        mask=_whole_cubes(near),
+        gradient_direction="descent",
     )
     vertices_m = (vertices + lower_m).astype(np.float32)
     colors = _ask(field, vertices_m, colors=True)
+    shape = trimesh.Trimesh(vertices_m, faces, process=False)
     return Mesh(
         vertices_m=vertices_m,
         faces=faces.astype(np.int32),
-        # skimage has them point to lower values, which is into the surface.
-        normals=-normals.astype(np.float32),
+        # Of the faces: those of marching_cubes also look at points where nothing was asked.
+        normals=np.asarray(shape.vertex_normals, dtype=np.float32),
         colors=(colors * 255).round().astype(np.uint8),
     )
+
+
+def _whole_cubes(asked: np.ndarray) -> np.ndarray:
+    """Mark the cubes of which every corner was asked, at their last corner, as skimage wants it."""
+    whole = asked.copy()
+    for axis in range(3):
+        earlier = np.roll(whole, 1, axis=axis)
+        np.moveaxis(earlier, axis, 0)[0] = False
+        whole &= earlier
+    return whole
 
 
 def _ask(field: NeuralField, points_m: np.ndarray, *, colors: bool) -> np.ndarray:
