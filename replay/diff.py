@@ -16,6 +16,7 @@ from replay.manifest import Manifest
 from replay.run_folder import RunFolder
 
 CAUSES = {
+    "event": "schedule",
     "input": "input",
     "stamp_ns": "schedule",
     "sim_time_ns": "schedule",
@@ -24,7 +25,6 @@ CAUSES = {
     "step": "schedule",
     "iteration": "schedule",
     "steps": "schedule",
-    "event": "schedule",
     "draws": "random draw",
     "losses": "loss",
     "digests": "state",

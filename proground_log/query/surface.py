@@ -58,16 +58,18 @@ def extract_mesh(content: NeuralMap, voxel_m: float) -> Mesh:
         j, k = np.nonzero(near[i])
         points_m = np.stack([np.full(len(j), axes[0][i]), axes[1][j], axes[2][k]], axis=-1)
         sdf[i, j, k] = _ask(field, points_m, colors=False)
-    if not (near.any() and sdf[near].min() < 0 < sdf[near].max()):
+    try:
+        vertices, faces, _, _ = marching_cubes(
+            sdf,
+            level=0.0,
+            spacing=(voxel_m,) * 3,
+            mask=_whole_cubes(near),
+            gradient_direction="descent",
+        )
+    except (RuntimeError, ValueError):
+        # So says skimage that no cube is crossed by a surface, or none at all is asked for.
         nothing = np.zeros((0, 3), np.float32)
         return Mesh(nothing, np.zeros((0, 3), np.int32), nothing, np.zeros((0, 3), np.uint8))
-    vertices, faces, _, _ = marching_cubes(
-        sdf,
-        level=0.0,
-        spacing=(voxel_m,) * 3,
-        mask=_whole_cubes(near),
-        gradient_direction="descent",
-    )
     vertices_m = (vertices + lower_m).astype(np.float32)
     colors = _ask(field, vertices_m, colors=True)
     shape = trimesh.Trimesh(vertices_m, faces, process=False)

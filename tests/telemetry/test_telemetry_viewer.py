@@ -30,7 +30,7 @@ def test_what_is_neither_log_nor_run_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ProgroundError, match="no such file"):
         view([tmp_path / "absent.mcap"])
     (tmp_path / "broken.mcap").write_text("not a log")
-    with pytest.raises(ProgroundError, match="rerun cannot read it"):
+    with pytest.raises(ProgroundError, match="no MCAP file"):
         view([tmp_path / "broken.mcap"])
 
 
