@@ -225,8 +225,9 @@ class Session:
             steps = self._map(frame, sim_time_ns)
             self._mapped += 1
         self._emit(FrameDone(frame.index, steps, sim_time_ns, self._mapper.buffer.statistics()))
-        if not held_out and self._telemetry is not None:
-            self._show(frame, last=self._arrived == len(chosen))
+        last = self._arrived == len(chosen)
+        if self._telemetry is not None and (last or not held_out):
+            self._show(frame, last=last)
 
     def _map(self, frame: Frame, sim_time_ns: int) -> int:
         """The steps that a mapped frame gets; returns how many were done."""
