@@ -12,13 +12,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-import torch
 
 from proground_log.errors import ProgroundError
 from proground_log.events import Event, FrameDone
 from proground_log.field.config import FieldConfig
 from proground_log.frame import Selection
 from proground_log.mapping.config import BufferConfig, MapperConfig, SamplingConfig
+from recorders.record import record
+from recorders.room import RoomSource
 from replay.config import ReplayConfig, TelemetryConfig
 from replay.diff import compare_runs
 from replay.ledger import read_ledger
@@ -237,15 +238,23 @@ def test_selection_of_frames(room_log: Path, tmp_path: Path) -> None:
     assert manifest.result["frames mapped"] == 2
 
 
+def other_log(path: Path) -> Path:
+    source = RoomSource(seed=1, frames=2)
+    record(source, "another room", path, Selection(), overwrite=False, progress=lambda *_: None)
+    return path
+
+
 def test_resume_refuses_another_log_and_other_options(room_log: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     with pytest.raises(ReplayStoppedError):
         replay(room_log, run, SMALL, watchers=lambda _: [StopAfter(2)])
     with pytest.raises(ProgroundError, match="options differ"):
         replay(room_log, run, ReplayConfig(steps=7), resume=True)
-    other = tmp_path / "other.mcap"
-    other.write_bytes(room_log.read_bytes())
-    replay(other, run, ReplayConfig(), resume=True)
+    with pytest.raises(ProgroundError, match="not the one"):
+        replay(other_log(tmp_path / "other.mcap"), run, ReplayConfig(), resume=True)
+    moved = tmp_path / "moved.mcap"
+    moved.write_bytes(room_log.read_bytes())
+    replay(moved, run, ReplayConfig(), resume=True)
     with pytest.raises(ProgroundError, match="no run to resume"):
         replay(room_log, tmp_path / "nothing", ReplayConfig(), resume=True)
 
@@ -266,7 +275,6 @@ def test_the_built_in_room_gives_the_golden_ledger(reference_run: Path) -> None:
     if golden["machine"] == machine():
         assert golden["ledger"] == entries
         return
-    assert torch.backends.cpu.get_cpu_capability()
     found = [e["losses"] for e in entries if e["event"] == "step"]
     expected = [e["losses"] for e in golden["ledger"] if e["event"] == "step"]
     for step, (a, b) in enumerate(zip(found, expected, strict=True)):
