@@ -15,6 +15,21 @@ from proground_log.frame import Frame
 
 
 @dataclass(frozen=True)
+class TaskKnown:
+    """Meaning is learnt for this task; told first, and again when a replay is resumed.
+
+    Args:
+        name: the task's name.
+        prompts: what labels are numbers of.
+        colors: uint8 [K, 3] RGB, the prompts' colours.
+    """
+
+    name: str
+    prompts: tuple[str, ...]
+    colors: np.ndarray
+
+
+@dataclass(frozen=True)
 class FrameArrived:
     """A frame was read from the log and registered.
 
@@ -39,11 +54,14 @@ class KeyframeInserted:
         frame_index: number of the frame in its log.
         inserted: samples added.
         evicted: samples, old or new, that had to go to stay under the cap.
+        semantic_inserted, semantic_evicted: the same of the rays that teach meaning.
     """
 
     frame_index: int
     inserted: int
     evicted: int
+    semantic_inserted: int
+    semantic_evicted: int
 
 
 @dataclass(frozen=True)
@@ -91,6 +109,47 @@ class BufferStatistics:
 
 
 @dataclass(frozen=True)
+class SemanticStatistics:
+    """The memory of meaning at one moment.
+
+    Args:
+        samples, capacity: rays that hit a region, and the cap.
+        background: rays that hit none.
+        regions: regions whose embedding is held.
+        labels: rays by prompt.
+        levels: rays by pyramid level, [3].
+        size_bytes: memory all of it takes.
+    """
+
+    samples: int
+    capacity: int
+    background: int
+    regions: int
+    labels: dict[str, int]
+    levels: list[int]
+    size_bytes: int
+
+
+@dataclass(frozen=True)
+class SemanticScores:
+    """How well the heads give back the regions of the log, in percent; nan where there is none.
+
+    Args:
+        frame_index: number of the newest frame.
+        label: semantic head: rays whose best prompt is their region's.
+        scale: scale head: rays of regions whose level is right.
+        background: scale head: rays of no region that are told as such.
+        uncertainty: uncertainty head: rays told rightly with or without supervision.
+    """
+
+    frame_index: int
+    label: float
+    scale: float
+    background: float
+    uncertainty: float
+
+
+@dataclass(frozen=True)
 class FrameDone:
     """All steps of a frame are done.
 
@@ -99,12 +158,14 @@ class FrameDone:
         steps: steps done for it.
         sim_time_ns: simulated time since the start of the replay.
         buffer: the replay buffer afterwards.
+        semantics: the memory of meaning afterwards; None where none is learnt.
     """
 
     frame_index: int
     steps: int
     sim_time_ns: int
     buffer: BufferStatistics
+    semantics: SemanticStatistics | None
 
 
 @dataclass(frozen=True)
@@ -121,6 +182,25 @@ class StateDigested:
 
 
 @dataclass(frozen=True)
+class SemanticView:
+    """What a rendered view means.
+
+    Args:
+        labels, observed_labels: int16 [h, w], number of the best prompt in the map and in the
+            frame's regions; -1 for background and where there is no surface.
+        features: uint8 [h, w, 3], the embeddings' colours, black where there is no surface.
+        levels: uint8 [h, w], pyramid level 0 to 2, or 3 for "no supervision".
+        uncertainty: float32 [h, w] in [0, 1].
+    """
+
+    labels: np.ndarray
+    observed_labels: np.ndarray
+    features: np.ndarray
+    levels: np.ndarray
+    uncertainty: np.ndarray
+
+
+@dataclass(frozen=True)
 class ViewRendered:
     """The map seen from a frame's camera, beside what the sensor saw.
 
@@ -128,6 +208,7 @@ class ViewRendered:
         frame_index: number of the frame in its log.
         color, rendered_color: uint8 [h, w, 3] RGB, black where the sensor saw nothing.
         depth_m, rendered_depth_m: float32 [h, w] metres, 0 where there is nothing.
+        semantics: what it means; None where no meaning is learnt.
     """
 
     frame_index: int
@@ -135,6 +216,24 @@ class ViewRendered:
     depth_m: np.ndarray
     rendered_color: np.ndarray
     rendered_depth_m: np.ndarray
+    semantics: SemanticView | None = None
+
+
+@dataclass(frozen=True)
+class SurfaceMeaning:
+    """What the surface means at each vertex.
+
+    Args:
+        labels: int16 [V], number of the best prompt; -1 for background.
+        features: uint8 [V, 3], the embeddings' colours.
+        relevance: float32 [V] in [0, 1], to one prompt.
+        prompt: that prompt.
+    """
+
+    labels: np.ndarray
+    features: np.ndarray
+    relevance: np.ndarray
+    prompt: str
 
 
 @dataclass(frozen=True)
@@ -147,6 +246,7 @@ class MeshExtracted:
         faces: int32 [F, 3], counter-clockwise seen from outside.
         normals: float32 [V, 3], towards free space.
         colors: uint8 [V, 3] RGB.
+        meaning: what it means; None where no meaning is learnt.
     """
 
     frame_index: int
@@ -154,6 +254,7 @@ class MeshExtracted:
     faces: np.ndarray
     normals: np.ndarray
     colors: np.ndarray
+    meaning: SurfaceMeaning | None = None
 
 
 @dataclass(frozen=True)
@@ -168,10 +269,12 @@ class RunFinished:
 
 
 Event = (
-    FrameArrived
+    TaskKnown
+    | FrameArrived
     | KeyframeInserted
     | StepDone
     | FrameDone
+    | SemanticScores
     | StateDigested
     | ViewRendered
     | MeshExtracted

@@ -11,6 +11,10 @@ import numpy as np
 from proground_log.camera import Camera
 from proground_log.encoded_image import is_whole
 from proground_log.errors import ProgroundError
+from proground_log.regions import Regions
+
+AT_EDGE = -2
+"""In place of a region: beside a depth jump, where nobody knows which side a pixel is of."""
 
 
 @dataclass(frozen=True)
@@ -26,6 +30,7 @@ class SensorFrame:
         depth: [H, W], uint16 in millimetres or float32 in metres; 0 where nothing was measured.
         world_from_camera: pose of the depth camera, float64 [4, 4].
         labels: class of each pixel of the colour camera, uint16 [H, W], 0 = none; where known.
+        regions: what perception found in the colour image; None before `pglog perceive`.
     """
 
     index: int
@@ -36,6 +41,7 @@ class SensorFrame:
     depth: np.ndarray
     world_from_camera: np.ndarray
     labels: np.ndarray | None = None
+    regions: Regions | None = None
 
     @property
     def depth_m(self) -> np.ndarray:
@@ -72,6 +78,9 @@ class Frame:
         color: uint8 [H, W, 3] RGB.
         color_valid: bool [H, W], where the colour camera saw the pixel.
         labels: uint16 [H, W], 0 = none; None where the log has no ground truth.
+        regions: what perception found; None where the log has no regions.
+        region_of: int32 [H, W], number of the region that the pixel belongs to, -1 for none,
+            `AT_EDGE` at depth jumps; None where the log has no regions.
     """
 
     index: int
@@ -82,6 +91,8 @@ class Frame:
     color: np.ndarray
     color_valid: np.ndarray
     labels: np.ndarray | None
+    regions: Regions | None = None
+    region_of: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

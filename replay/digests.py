@@ -14,6 +14,9 @@ def frame_digest(frame: Frame) -> str:
     digest = hashlib.sha256()
     for array in (frame.world_from_camera, frame.depth_m, frame.color, frame.color_valid):
         digest.update(np.ascontiguousarray(array).data)
+    if frame.regions is not None:
+        for array in (*vars(frame.regions).values(), frame.region_of):
+            digest.update(np.ascontiguousarray(array).data)
     return digest.hexdigest()
 
 

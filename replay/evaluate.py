@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 from proground_log.errors import ProgroundError
@@ -10,10 +11,19 @@ from proground_log.evaluation.reconstruction import mesh_scores, score_view, vie
 from proground_log.log.reader import LogReader
 from proground_log.log.registration import Registration
 from proground_log.log.topics import MESH_ATTACHMENT
-from proground_log.mapping.map_file import load_map
+from proground_log.mapping.map_file import NeuralMap, load_map
+from proground_log.perception.map_texts import texts_for
+from proground_log.perception.texts import TextSpace
 from proground_log.query.surface import extract_mesh, read_ply_vertices
 from replay.config import ReplayConfig
-from replay.manifest import Manifest, file_sha256
+from replay.evaluate_semantics import (
+    LabelledPoints,
+    labelled_points_of_files,
+    labelled_points_of_log,
+    score_table,
+    semantic_scores,
+)
+from replay.manifest import Manifest, open_log_of
 from replay.run_folder import RunFolder
 
 
@@ -24,40 +34,76 @@ def held_out_frames(config: ReplayConfig, count: int) -> list[int]:
     return list(chosen[every - 1 :: every]) if every else []
 
 
+@dataclass(frozen=True)
+class GroundTruth:
+    """A truth that is not the log's own.
+
+    Args:
+        mesh: PLY whose vertices have labels.
+        names: candidate names.
+        mapping: what the log's class names are called among them, where they differ.
+    """
+
+    mesh: Path
+    names: Path
+    mapping: Path | None = None
+
+
+@dataclass(frozen=True)
+class Texts:
+    """Where texts that the map does not know by itself come from; see `texts_for`."""
+
+    vocabulary: Path | None = None
+    text_encoder: Path | None = None
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """How good a map is.
+
+    Args:
+        scores: figures by name; see `view_summary`, `mesh_scores` and `score_table`.
+        classes: for each class that is there its points and Top-1 in percent.
+    """
+
+    scores: dict[str, float]
+    classes: dict[str, tuple[int, float]]
+
+
 def evaluate_run(
     run_path: Path,
     log_path: Path | None,
     voxel_m: float,
     progress: Callable[[int, int], None],
-) -> dict[str, float]:
-    """Score a run on its held-out views, and on the true mesh where its log has one.
+    *,
+    ground_truth: GroundTruth | None = None,
+    texts: Texts = Texts(),
+) -> Evaluation:
+    """Score a run on its held-out views, on the true mesh and on labels, as far as there are any.
 
     Args:
         run_path: folder of a finished run.
         log_path: its log, or None where it is where the run found it.
         voxel_m: voxels of the map's mesh.
         progress: told the views scored and the views in all.
-
-    Returns:
-        Scores by name; see `view_summary` and `mesh_scores`, and "map_mb".
+        ground_truth: labelled points that take the place of the log's.
+        texts: embeddings of candidate names that the map does not know.
     """
     run = RunFolder(run_path).require_finished()
     manifest = Manifest.read(run.manifest)
-    reader = LogReader(log_path or Path(manifest.log_path))
-    if file_sha256(reader.path) != manifest.log_sha256:
-        raise ProgroundError(
-            "is not the log that the run was made of", where=reader.path, todo="give it with --log"
-        )
+    reader = open_log_of(manifest, log_path)
     content = load_map(run.map)
+    points, space = _labelled_points(content, reader, ground_truth, texts)
     held_out = held_out_frames(manifest.config, len(reader))
     mesh_bytes = reader.attachment(MESH_ATTACHMENT)
-    if not held_out and mesh_bytes is None:
+    if not held_out and mesh_bytes is None and points is None:
         raise ProgroundError(
             "there is nothing to judge it by: no frame was held out, the log has no true mesh",
             where=run_path,
             todo="replay with --hold-out-every 10",
         )
     scores: dict[str, float] = {}
+    classes: dict[str, tuple[int, float]] = {}
     if held_out:
         register = Registration(reader.calibration)
         views = []
@@ -65,8 +111,35 @@ def evaluate_run(
             views.append(score_view(content, register(sensor)))
             progress(len(views), len(held_out))
         scores |= view_summary(views)
-    if mesh_bytes is not None:
+    if mesh_bytes is not None or points is not None:
         mesh = extract_mesh(content, voxel_m)
-        scores |= mesh_scores(mesh.vertices_m, read_ply_vertices(mesh_bytes))
-    scores["map_mb"] = sum(content.sizes_bytes().values()) / 1e6
-    return scores
+        if mesh_bytes is not None:
+            scores |= mesh_scores(mesh.vertices_m, read_ply_vertices(mesh_bytes))
+        if points is not None and space is not None:
+            top_k = semantic_scores(content, points, space, mesh.vertices_m)
+            scores |= score_table(top_k)
+            classes = {points.names[k]: found for k, found in top_k.per_class.items()}
+    sizes_bytes = content.sizes_bytes()
+    scores["map_mb"] = sum(sizes_bytes.values()) / 1e6
+    for part, size_bytes in sizes_bytes.items():
+        scores[f"map_mb_{part.replace(' ', '_')}"] = size_bytes / 1e6
+    return Evaluation(scores, classes)
+
+
+def _labelled_points(
+    content: NeuralMap, reader: LogReader, ground_truth: GroundTruth | None, texts: Texts
+) -> tuple[LabelledPoints | None, TextSpace | None]:
+    """What to judge the map's semantics by, and the texts to do it with."""
+    if content.semantics is None:
+        if ground_truth is not None:
+            raise ProgroundError(
+                "the map knows no names that labels could judge",
+                where=reader.path,
+                todo="run `pglog perceive` on the log, and replay what it gives",
+            )
+        return None, None
+    space = texts_for(content.semantics.description, texts.vocabulary, texts.text_encoder)
+    if ground_truth is None:
+        return labelled_points_of_log(reader, space), space
+    files = ground_truth.mesh, ground_truth.names, ground_truth.mapping
+    return labelled_points_of_files(*files, reader.label_names), space

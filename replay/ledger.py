@@ -57,6 +57,8 @@ def entry_of(event: Event) -> dict[str, Any] | None:
                 "frame": event.frame_index,
                 "inserted": event.inserted,
                 "evicted": event.evicted,
+                "semantic_inserted": event.semantic_inserted,
+                "semantic_evicted": event.semantic_evicted,
             }
         case StepDone():
             return {
@@ -77,6 +79,7 @@ def entry_of(event: Event) -> dict[str, Any] | None:
                 "steps": event.steps,
                 "sim_time_ns": event.sim_time_ns,
                 "buffer": asdict(event.buffer),
+                "semantics": None if event.semantics is None else asdict(event.semantics),
             }
     return None
 

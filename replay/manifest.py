@@ -15,19 +15,30 @@ import torch
 
 from proground_log import __version__
 from proground_log.errors import ProgroundError
-from proground_log.field.config import FieldConfig
+from proground_log.field.config import FieldConfig, SemanticSpace
 from proground_log.files import require_file, written_whole
 from proground_log.frame import Selection
+from proground_log.log.reader import LogReader
 from proground_log.mapping.config import (
     BufferConfig,
     LossWeights,
     MapperConfig,
     SamplingConfig,
+    SemanticsConfig,
 )
+from proground_log.perception.description import PerceptionDescription
 from replay.config import ReplayConfig, TelemetryConfig
 
 MANIFEST_VERSION = 1
-PACKAGES = ("mcap", "numba", "numpy", "opencv-python-headless", "scipy", "torch")
+PACKAGES = (
+    "mcap",
+    "numba",
+    "numpy",
+    "onnxruntime",
+    "opencv-python-headless",
+    "scipy",
+    "torch",
+)
 """Packages whose version can reach a result."""
 
 
@@ -43,6 +54,7 @@ class Manifest:
         packages: versions of those that can reach a result.
         machine: processor, its capability as torch sees it, and device.
         threads: threads computed on; does not reach a result.
+        perception_sha256: fingerprint of task, texts and heads; None without perception.
         result: the summary, once the run is complete.
     """
 
@@ -53,10 +65,17 @@ class Manifest:
     packages: dict[str, str]
     machine: dict[str, str]
     threads: int
+    perception_sha256: str | None
     result: dict[str, object] | None = None
 
     @classmethod
-    def of(cls, log_path: Path, config: ReplayConfig, device: str) -> Manifest:
+    def of(
+        cls,
+        log_path: Path,
+        config: ReplayConfig,
+        device: str,
+        perception: PerceptionDescription | None,
+    ) -> Manifest:
         """The manifest of a run that is about to start on this machine."""
         return cls(
             log_path=str(log_path.resolve()),
@@ -70,6 +89,7 @@ class Manifest:
                 "device": torch.cuda.get_device_name() if device == "cuda" else "cpu",
             },
             threads=torch.get_num_threads(),
+            perception_sha256=fingerprint(perception),
         )
 
     def write(self, path: Path) -> None:
@@ -98,6 +118,20 @@ class Manifest:
             ) from error
 
 
+def open_log_of(manifest: Manifest, log_path: Path | None) -> LogReader:
+    """The log that a run was made of: where the run found it, or where it has moved to.
+
+    Raises:
+        ProgroundError: it is another log.
+    """
+    reader = LogReader(log_path or Path(manifest.log_path))
+    if file_sha256(reader.path) != manifest.log_sha256:
+        raise ProgroundError(
+            "is not the log that the run was made of", where=reader.path, todo="give it with --log"
+        )
+    return reader
+
+
 def config_from_dict(content: dict[str, Any]) -> ReplayConfig:
     """The settings from what `dataclasses.asdict` made of them."""
     mapper = content["mapper"]
@@ -113,10 +147,21 @@ def config_from_dict(content: dict[str, Any]) -> ReplayConfig:
                     "sampling": SamplingConfig(**mapper["sampling"]),
                     "weights": LossWeights(**mapper["weights"]),
                     "buffer": BufferConfig(**mapper["buffer"]),
+                    "semantics": SemanticsConfig(
+                        **{
+                            **mapper["semantics"],
+                            "space": SemanticSpace(**mapper["semantics"]["space"]),
+                        }
+                    ),
                 }
             ),
         }
     )
+
+
+def fingerprint(perception: PerceptionDescription | None) -> str | None:
+    """sha256 of all that perception says of itself, hexadecimal."""
+    return None if perception is None else hashlib.sha256(perception.to_bytes()).hexdigest()
 
 
 def file_sha256(path: Path) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
+from safetensors.numpy import save
 
 from proground_log.errors import ProgroundError
 from proground_log.files import written_whole
@@ -104,7 +104,7 @@ class Checkpoint:
         position = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "state"}
         with written_whole(path) as temporary:
             state = {name: np.ascontiguousarray(array) for name, array in self.state.items()}
-            save_file(state, temporary, {"position": json.dumps(position)})
+            temporary.write_bytes(save(state, {"position": json.dumps(position)}))
 
     @classmethod
     def read(cls, path: Path) -> Checkpoint:

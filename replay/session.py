@@ -11,11 +11,10 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from proground_log.errors import ProgroundError
@@ -23,12 +22,11 @@ from proground_log.events import (
     Event,
     FrameArrived,
     FrameDone,
-    MeshExtracted,
     RunFinished,
     Sink,
     StateDigested,
     StepDone,
-    ViewRendered,
+    TaskKnown,
 )
 from proground_log.files import disk_errors, require_free
 from proground_log.frame import Frame
@@ -36,18 +34,23 @@ from proground_log.log.reader import LogReader
 from proground_log.log.registration import Registration
 from proground_log.mapping.map_file import NeuralMap, save_map
 from proground_log.mapping.online_mapper import OnlineMapper
-from proground_log.query.surface import extract_mesh
+from proground_log.mapping.semantic_map import SemanticMap
+from proground_log.perception.description import PerceptionDescription
+from proground_log.perception.of_log import perception_of
+from proground_log.perception.perceiver import Perceiver
+from proground_log.perception.preview import prompt_colors
 from proground_log.telemetry.rerun_sink import TelemetrySink
 from proground_log.telemetry.segments import merge_segments
 from replay.config import ReplayConfig
 from replay.device import choose_device
 from replay.digests import frame_digest, state_digests
 from replay.ledger import LedgerSink
-from replay.manifest import Manifest, file_sha256
+from replay.manifest import Manifest, file_sha256, fingerprint
+from replay.pictures import Pictures
 from replay.run_folder import Checkpoint, RunFolder
 
-MOST_LATTICE_POINTS = 1_000_000
-"""Points of the lattice from which telemetry's meshes are made: a fraction of a second."""
+STAGES = ("read", "perceive", "map", "views", "telemetry", "ledger")
+"""What the machine's time is spent on."""
 
 
 class ReplayStoppedError(Exception):
@@ -61,6 +64,7 @@ def replay(
     *,
     resume: bool = False,
     overwrite: bool = False,
+    perceiver: Perceiver | None = None,
     watchers: Callable[[int], Sequence[Sink]] = lambda _: (),
 ) -> Manifest:
     """Replay a log into a run.
@@ -71,6 +75,7 @@ def replay(
         config: the settings; with `resume` those of the run itself hold.
         resume: go on with an interrupted run.
         overwrite: replace a run that is there.
+        perceiver: finds the regions of each frame, for a log that has none yet.
         watchers: given the number of frames to come, further sinks, such as a progress bar.
 
     Returns:
@@ -81,22 +86,23 @@ def replay(
     """
     reader = LogReader(log_path)
     device = choose_device(config.device)
+    perception = perceiver.description if perceiver is not None else perception_of(reader)
     run = RunFolder(run_path)
     if resume:
-        manifest = _manifest_to_resume(run, log_path, config)
+        manifest = _manifest_to_resume(run, log_path, config, perception)
         if run.is_finished:
             return manifest
     else:
         require_free(run.manifest, overwrite=overwrite)
         if run_path.exists() and not run_path.is_dir():
             raise ProgroundError("is a file", where=run_path, todo="name a folder for the run")
-        manifest = Manifest.of(log_path, config, device)
+        manifest = Manifest.of(log_path, config, device, perception)
         config.selection.of(len(reader))
         with disk_errors(run_path):
             run_path.mkdir(parents=True, exist_ok=True)
         run.clear()
         manifest.write(run.manifest)
-    session = Session(reader, run, manifest, device)
+    session = Session(reader, run, manifest, device, perception, perceiver)
     with _stop_on_signals(session):
         summary = session.run(watchers)
     finished = replace(manifest, result=summary)
@@ -104,7 +110,12 @@ def replay(
     return finished
 
 
-def _manifest_to_resume(run: RunFolder, log_path: Path, config: ReplayConfig) -> Manifest:
+def _manifest_to_resume(
+    run: RunFolder,
+    log_path: Path,
+    config: ReplayConfig,
+    perception: PerceptionDescription | None,
+) -> Manifest:
     if not run.manifest.is_file():
         raise ProgroundError(
             "there is no run to resume", where=run.path, todo="leave out --resume to start one"
@@ -122,6 +133,12 @@ def _manifest_to_resume(run: RunFolder, log_path: Path, config: ReplayConfig) ->
             where=log_path,
             todo=f"give the same log (it was {manifest.log_path})",
         )
+    if manifest.perception_sha256 != fingerprint(perception):
+        raise ProgroundError(
+            "the perception is not the one that the run was started with",
+            where=run.path,
+            todo="give the same task and models",
+        )
     return manifest
 
 
@@ -133,17 +150,30 @@ class Session:
         run: where the results go; its checkpoint, where there is one, is gone on from.
         manifest: what makes the run.
         device: cpu or cuda.
+        perception: what the regions of the frames mean; None where there are none.
+        perceiver: finds them, where the log has none.
     """
 
-    def __init__(self, reader: LogReader, run: RunFolder, manifest: Manifest, device: str) -> None:
+    def __init__(
+        self,
+        reader: LogReader,
+        run: RunFolder,
+        manifest: Manifest,
+        device: str,
+        perception: PerceptionDescription | None,
+        perceiver: Perceiver | None,
+    ) -> None:
         self._reader, self._run, self._config = reader, run, manifest.config
+        self._perceiver = perceiver
         self._recording_id = f"{manifest.log_sha256[:16]}-{manifest.config.seed}"
         self._mapper = OnlineMapper(
-            self._config.mapper, reader.recording.bounds, self._config.seed, device
+            self._config.mapper, reader.recording.bounds, self._config.seed, device, perception
         )
+        learnt = perception if self._mapper.semantics is not None else None
+        self._pictures = Pictures(self._config.telemetry, reader.recording.bounds, learnt)
         self._arrived = self._mapped = self._steps = self._lines = self._start_ns = 0
         self._camera_m: list[float] = []
-        self._seconds = dict.fromkeys(("read", "map", "views", "telemetry", "ledger"), 0.0)
+        self._seconds = dict.fromkeys(STAGES, 0.0)
         self._stop = threading.Event()
         if run.checkpoint.is_file():
             checkpoint = Checkpoint.read(run.checkpoint)
@@ -171,7 +201,11 @@ class Session:
                 last_position_m=np.array(self._camera_m) if self._camera_m else None,
             )
         self._watchers = watchers(len(chosen) - self._arrived)
-        try:
+        with ExitStack() as sinks:
+            for sink in (self._ledger, self._telemetry, *self._watchers):
+                if sink is not None:
+                    sinks.callback(sink.close)
+            self._introduce()
             for frame in self._frames(chosen[self._arrived :]):
                 self._take(frame, chosen)
                 if self._stop.is_set() and self._arrived < len(chosen):
@@ -185,12 +219,15 @@ class Session:
             self._digest()
             summary = self._summary()
             self._emit(RunFinished(summary))
-        finally:
-            for sink in (self._ledger, self._telemetry, *self._watchers):
-                if sink is not None:
-                    sink.close()
         self._finish()
         return summary
+
+    def _introduce(self) -> None:
+        """Say what the labels of all that follows mean."""
+        learner = self._mapper.semantics
+        if learner is not None:
+            task = learner.description.task
+            self._emit(TaskKnown(task.name, task.all_prompts, prompt_colors(task)))
 
     def _frames(self, chosen: Sequence[int]) -> Iterator[Frame]:
         """The chosen frames, registered."""
@@ -199,9 +236,13 @@ class Session:
         while True:
             with self._timed("read"):
                 sensor = next(sensor_frames, None)
-                frame = register(sensor) if sensor is not None else None
-            if frame is None:
+            if sensor is None:
                 return
+            if self._perceiver is not None:
+                with self._timed("perceive"):
+                    sensor = replace(sensor, regions=self._perceiver(sensor))
+            with self._timed("read"):
+                frame = register(sensor)
             yield frame
 
     def _take(self, frame: Frame, chosen: Sequence[int]) -> None:
@@ -224,9 +265,23 @@ class Session:
                 self._emit(inserted)
             steps = self._map(frame, sim_time_ns)
             self._mapped += 1
-        self._emit(FrameDone(frame.index, steps, sim_time_ns, self._mapper.buffer.statistics()))
+        semantics = self._mapper.semantics
+        self._emit(
+            FrameDone(
+                frame.index,
+                steps,
+                sim_time_ns,
+                self._mapper.buffer.statistics(),
+                semantics.statistics() if semantics is not None else None,
+            )
+        )
         last = self._arrived == len(chosen)
         if self._telemetry is not None and (last or not held_out):
+            if semantics is not None:
+                with self._timed("views"):
+                    scores = semantics.scores(frame.index)
+                if scores is not None:
+                    self._emit(scores)
             self._show(frame, last=last)
 
     def _map(self, frame: Frame, sim_time_ns: int) -> int:
@@ -264,39 +319,18 @@ class Session:
         number = self._mapped - 1
         if last or number % telemetry.view_every == 0:
             with self._timed("views"):
-                view = self._view(frame)
+                view = self._pictures.view(self._map_so_far(), frame)
             self._emit(view)
         if last or number % telemetry.mesh_every == telemetry.mesh_every - 1:
             with self._timed("views"):
-                mesh = extract_mesh(self._map_so_far(), self._mesh_voxel_m())
-            self._emit(
-                MeshExtracted(frame.index, mesh.vertices_m, mesh.faces, mesh.normals, mesh.colors)
-            )
-
-    def _mesh_voxel_m(self) -> float:
-        """The voxel asked for, or a larger one where a lattice of it would be too large."""
-        volume_m3 = float(self._reader.recording.bounds.size_m.prod())
-        return max(
-            self._config.telemetry.mesh_voxel_m, (volume_m3 / MOST_LATTICE_POINTS) ** (1 / 3)
-        )
-
-    def _view(self, frame: Frame) -> ViewRendered:
-        width = min(self._config.telemetry.view_width, frame.camera.width)
-        camera = frame.camera.scaled_to_width(width)
-        color, depth_m = self._map_so_far().render(camera, frame.world_from_camera)
-        size = (camera.width, camera.height)
-        seen = np.where(frame.color_valid[..., None], frame.color, np.uint8(0))
-        return ViewRendered(
-            frame_index=frame.index,
-            color=cv2.resize(seen, size, interpolation=cv2.INTER_AREA),
-            # Depth must not be mixed across edges.
-            depth_m=cv2.resize(frame.depth_m, size, interpolation=cv2.INTER_NEAREST),
-            rendered_color=color,
-            rendered_depth_m=depth_m,
-        )
+                mesh = self._pictures.mesh(self._map_so_far(), frame.index)
+            self._emit(mesh)
 
     def _map_so_far(self) -> NeuralMap:
-        return NeuralMap(self._mapper.field, self._mapper.observed)
+        learner, semantics = self._mapper.semantics, None
+        if learner is not None:
+            semantics = SemanticMap(learner.heads, learner.description)
+        return NeuralMap(self._mapper.averaged, self._mapper.observed, semantics)
 
     def _emit(self, event: Event) -> None:
         with self._timed("ledger"):
@@ -344,7 +378,20 @@ class Session:
             "buffer MB": round(buffer.size_bytes / 1e6, 2),
             "map MB": round(sum(self._map_so_far().sizes_bytes().values()) / 1e6, 2),
             "peak memory MB": round(peak_memory_bytes() / 1e6),
+            **self._semantic_summary(),
             "machine s": {stage: round(s, 3) for stage, s in self._seconds.items()},
+        }
+
+    def _semantic_summary(self) -> dict[str, object]:
+        learner = self._mapper.semantics
+        if learner is None:
+            return {}
+        statistics = learner.statistics()
+        return {
+            "task": learner.description.task.name,
+            "semantic samples": statistics.samples,
+            "semantic regions": statistics.regions,
+            "semantic MB": round(statistics.size_bytes / 1e6, 2),
         }
 
     def _finish(self) -> None:

@@ -40,16 +40,16 @@ class ViewScore:
 
 def score_view(content: NeuralMap, frame: Frame) -> ViewScore:
     """Render the frame's view at full size, without its depth, and compare."""
-    color, depth_m = content.render(frame.camera, frame.world_from_camera)
+    view = content.render(frame.camera, frame.world_from_camera)
     measured = frame.depth_m > 0
     judged = measured & frame.color_valid
-    error = (color.astype(np.float64) - frame.color)[judged] / 255
+    error = (view.color.astype(np.float64) - frame.color)[judged] / 255
     close = measured & (frame.depth_m < FARTHEST_M)
-    hit = close & (depth_m > 0)
+    hit = close & (view.depth_m > 0)
     return ViewScore(
         frame_index=frame.index,
         color_mse=float(np.square(error).mean()),
-        depth_l1_m=float(np.abs(depth_m - frame.depth_m)[hit].mean()),
+        depth_l1_m=float(np.abs(view.depth_m - frame.depth_m)[hit].mean()),
         missed=1 - float(hit.sum() / close.sum()),
     )
 

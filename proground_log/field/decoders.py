@@ -12,7 +12,7 @@ GEOMETRY_FEATURES = 15
 HIDDEN = 32
 
 
-def _linear_weight(outputs: int, inputs: int, random: np.random.Generator) -> nn.Parameter:
+def linear_weight(outputs: int, inputs: int, random: np.random.Generator) -> nn.Parameter:
     """A weight [outputs, inputs] from U(-1/sqrt(inputs), 1/sqrt(inputs)), as torch's Linear."""
     bound = 1 / math.sqrt(inputs)
     weight = (2 * random.random((outputs, inputs), dtype=np.float32) - 1) * np.float32(bound)
@@ -35,10 +35,10 @@ class Decoders(nn.Module):
         self.hash_features, self.blob_features = hash_features, blob_features
         geometry_inputs = hash_features + blob_features
         color_inputs = blob_features + GEOMETRY_FEATURES
-        self.geometry_hidden = _linear_weight(HIDDEN, geometry_inputs, random)
-        self.geometry_out = _linear_weight(1 + GEOMETRY_FEATURES, HIDDEN, random)
-        self.color_hidden = _linear_weight(HIDDEN, color_inputs, random)
-        self.color_out = _linear_weight(3, HIDDEN, random)
+        self.geometry_hidden = linear_weight(HIDDEN, geometry_inputs, random)
+        self.geometry_out = linear_weight(1 + GEOMETRY_FEATURES, HIDDEN, random)
+        self.color_hidden = linear_weight(HIDDEN, color_inputs, random)
+        self.color_out = linear_weight(3, HIDDEN, random)
 
     def geometry(self, hashed: Tensor, blob: Tensor) -> Tensor:
         """SDF in units of the truncation (column 0) and f_g, [N, 16]."""

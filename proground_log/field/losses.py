@@ -8,7 +8,7 @@ the number of samples; here it does not, and the default weights make up for it.
 from __future__ import annotations
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 
 def weighted_mean(values: Tensor, weights: Tensor) -> Tensor:
@@ -75,3 +75,47 @@ def smoothness_loss(lattice_features: Tensor) -> Tensor:
     ]
     # Rows first: a sum over everything at once depends on the number of threads.
     return torch.stack([d.flatten(1).mean(dim=1).mean() for d in differences]).sum()
+
+
+def semantic_loss(rendered: Tensor, observed: Tensor, confidence: Tensor) -> Tensor:
+    """c_tau || f' - f ||_2 (Eq. 5), averaged over the rays with c_tau as their weight.
+
+    Args:
+        rendered, observed: [R, 512].
+        confidence: [R], c_tau, or 1 where regions are not weighted.
+    """
+    # A norm has no gradient where it is zero.
+    distance = (rendered - observed).square().sum(dim=1).add(1e-12).sqrt()
+    return weighted_mean(distance, confidence)
+
+
+def focal_loss(logits: Tensor, classes: Tensor, gamma: float = 2.0) -> Tensor:
+    """-alpha_k (1 - p_k)^gamma log p_k (Eq. 6) with alpha_k the inverse frequency of the class.
+
+    Args:
+        logits: [R, K].
+        classes: int64 [R], in 0..K-1.
+        gamma: how far rays that are classified well count less.
+    """
+    counts = nn.functional.one_hot(classes, logits.shape[1]).sum(dim=0).to(logits.dtype)
+    present = (counts > 0).sum()
+    alpha = len(classes) / (present * counts.clamp_min(1.0))
+    log_p = logits.log_softmax(dim=1).gather(1, classes[:, None])[:, 0]
+    return weighted_mean((1 - log_p.exp()).pow(gamma) * -log_p, alpha[classes])
+
+
+def uncertainty_loss(logits: Tensor, unsupervised: Tensor) -> Tensor:
+    """Binary cross-entropy of "this ray has no supervision", u = 0; both kinds count alike.
+
+    The paper names the head and not its loss.
+
+    Args:
+        logits: [R].
+        unsupervised: bool [R].
+    """
+    terms = nn.functional.binary_cross_entropy_with_logits(
+        logits, unsupervised.to(logits.dtype), reduction="none"
+    )
+    share = unsupervised.to(logits.dtype).mean()
+    weights = torch.where(unsupervised, 1 - share, share)
+    return weighted_mean(terms, weights.clamp_min(1e-3))

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from proground_log.bounds import Bounds
-from proground_log.field.config import FieldConfig
+from proground_log.field.config import FieldConfig, SemanticSpace
 from proground_log.field.decoders import Decoders
 from proground_log.field.encodings import (
     FEATURES_PER_LEVEL,
@@ -16,6 +16,7 @@ from proground_log.field.encodings import (
     hash_grid,
     one_blob,
 )
+from proground_log.field.semantic_heads import PointFeatures
 from proground_log.streams import stream
 
 ROOM_M3 = 150.0
@@ -23,9 +24,9 @@ ROOM_M3 = 150.0
 
 
 def log2_rows_for(bounds: Bounds) -> int:
-    """Rows of a hash level for a box, as a power of two: they grow with its volume, to 2^19."""
+    """Rows of a hash level for a box, as a power of two: they grow with its volume, to 2^18."""
     rooms = float(bounds.size_m.prod()) / ROOM_M3
-    return int(np.clip(round(16 + np.log2(rooms)), 16, 19))
+    return int(np.clip(round(16 + np.log2(rooms)), 16, 18))
 
 
 class NeuralField(nn.Module):
@@ -56,8 +57,15 @@ class NeuralField(nn.Module):
         self.register_buffer("lower_m", torch.tensor(bounds.lower_m, dtype=torch.float32), False)
         size_m = torch.from_numpy(bounds.size_m.astype(np.float32))
         self.register_buffer("size_m", size_m, False)
+        self.register_buffer("aspect", size_m / size_m.max(), False)
+        self.aspect: Tensor
         self.lower_m: Tensor
         self.size_m: Tensor
+
+    @property
+    def hash_width(self) -> int:
+        """Number of hash features of a point."""
+        return FEATURES_PER_LEVEL * self.layout.levels
 
     def normalise(self, points_m: Tensor) -> tuple[Tensor, Tensor]:
         """Points [N, 3] in world metres to [0, 1]^3, clamped, and which lay inside, bool [N]."""
@@ -66,23 +74,40 @@ class NeuralField(nn.Module):
         return clamped, (points == clamped).all(dim=1)
 
     def hash_features(self, points: Tensor) -> Tensor:
-        """Hash features [N, 2 levels] of normalised points [N, 3]."""
-        return hash_grid(points, self.table, self.layout)
+        """Hash features [N, 2 levels] of normalised points [N, 3].
 
-    def forward(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        The cells are cubes in space. Published code stretches them with the bounds: in a flat
+        house they are six times as long as high, and edges come out ragged.
+        """
+        return hash_grid(points * self.aspect, self.table, self.layout)
+
+    def forward(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Ask the field at normalised points [N, 3]; see `decode`."""
         return self.decode(points, self.hash_features(points))
 
-    def decode(self, points: Tensor, hashed: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def decode(self, points: Tensor, hashed: Tensor) -> tuple[Tensor, Tensor]:
         """Decode normalised points [N, 3] and their hash features [N, 2 levels].
 
         Returns:
-            SDF in units of the truncation [N], colour in [0, 1] [N, 3], and f_c [N, 32].
+            SDF in units of the truncation [N], colour in [0, 1] [N, 3].
         """
         blob = one_blob(points)
         geometry = self.decoders.geometry(hashed, blob)
+        color, _ = self.decoders.color(geometry, blob)
+        return geometry[:, 0], color
+
+    @torch.no_grad()
+    def with_features(
+        self, points: Tensor, space: SemanticSpace
+    ) -> tuple[Tensor, Tensor, PointFeatures]:
+        """As `forward`, and what the semantic heads look at; nothing here gets a gradient."""
+        hashed, blob = self.hash_features(points), one_blob(points)
+        geometry = self.decoders.geometry(hashed, blob)
         color, color_features = self.decoders.color(geometry, blob)
-        return geometry[:, 0], color, color_features
+        sources = {"color": color_features, "geometry": geometry[:, 1:], "parametric": hashed}
+        chosen = [sources[space.features]] if space.features in sources else []
+        chosen += [blob] if space.coordinates else []
+        return geometry[:, 0], color, PointFeatures(torch.cat(chosen, dim=1), hashed, blob)
 
     def sdf(self, points: Tensor) -> Tensor:
         """SDF in units of the truncation, [N], of normalised points [N, 3]."""

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 from torch import Tensor
 
 from proground_log.camera import Camera
+from proground_log.field.config import SemanticSpace
 from proground_log.field.neural_field import NeuralField
 from proground_log.field.rendering import before_surface, composite, sdf_weights
+from proground_log.field.semantic_heads import PointFeatures
 
 MARCH_FRACTION = 0.8
 """Part of the distance to the surface, as the field has it, that a march dares to go."""
@@ -51,6 +55,21 @@ class EmptySpace:
         return self._distance_m[(cells * self._strides).sum(dim=1)]
 
 
+@dataclass(frozen=True)
+class RenderedView:
+    """What a camera would see of a map.
+
+    Args:
+        color: uint8 [H, W, 3] RGB.
+        depth_m: float32 [H, W] along z in metres; both 0 where a ray meets no surface.
+        features: what semantic heads look at, [H * W, ...]; None where none was asked for.
+    """
+
+    color: np.ndarray
+    depth_m: np.ndarray
+    features: PointFeatures | None
+
+
 @torch.no_grad()
 def render_view(
     field: NeuralField,
@@ -59,8 +78,9 @@ def render_view(
     world_from_camera: np.ndarray,
     *,
     near_m: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Render colour and depth as the camera would see the map.
+    space: SemanticSpace | None = None,
+) -> RenderedView:
+    """Render colour, depth and semantic features as the camera would see the map.
 
     Each ray marches through the signed distances to the first change of sign and is then
     rendered (Eq. 4) from samples one truncation to either side of it. Space that is known to be
@@ -73,48 +93,54 @@ def render_view(
         camera: its pinhole camera; the size of the result.
         world_from_camera: pose, float64 [4, 4].
         near_m: where the rays begin, in metres along z.
-
-    Returns:
-        Colour, uint8 [H, W, 3], and depth along z in metres, float32 [H, W]; both 0 where a ray
-        meets no surface within the bounds.
+        space: what semantics are decoded from; None renders no features.
     """
     device = field.table.device
     rotation = world_from_camera[:3, :3].astype(np.float32)
     directions = torch.from_numpy(camera.directions.reshape(-1, 3) @ rotation.T).to(device)
     origin_m = torch.from_numpy(world_from_camera[:3, 3].astype(np.float32)).to(device)
     parts = [
-        _render_rays(field, empty, origin_m, part, near_m)
+        _render_rays(field, empty, origin_m, part, near_m, space)
         for part in directions.split(RAYS_AT_ONCE)
     ]
-    colors, depths_m = (torch.cat(part) for part in zip(*parts, strict=True))
-    image = (colors * 255).round().to(torch.uint8).reshape(camera.height, camera.width, 3)
-    depth_m = depths_m.reshape(camera.height, camera.width)
-    return image.cpu().numpy(), depth_m.cpu().numpy()
+    colors, depths_m, features = zip(*parts, strict=True)
+    image = (torch.cat(colors) * 255).round().to(torch.uint8)
+    return RenderedView(
+        image.reshape(camera.height, camera.width, 3).cpu().numpy(),
+        torch.cat(depths_m).reshape(camera.height, camera.width).cpu().numpy(),
+        PointFeatures.concatenate(features) if space is not None else None,
+    )
 
 
 def _render_rays(
-    field: NeuralField, empty: EmptySpace, origin_m: Tensor, directions: Tensor, near_m: float
-) -> tuple[Tensor, Tensor]:
-    """Colour [R, 3] and depth [R] of the rays from one origin."""
+    field: NeuralField,
+    empty: EmptySpace,
+    origin_m: Tensor,
+    directions: Tensor,
+    near_m: float,
+    space: SemanticSpace | None,
+) -> tuple[Tensor, Tensor, PointFeatures | None]:
+    """Colour [R, 3], depth [R] and, in a space, features [R, ...] of the rays from one origin."""
     surface_m = _march(field, empty, origin_m, directions, near_m, SHORTEST_STEP)
     lost = surface_m.isinf().nonzero()[:, 0]
     surface_m[lost] = _march(field, None, origin_m, directions[lost], near_m, LOST_STEP)
-    colors = torch.zeros_like(directions)
-    depths_m = torch.zeros_like(surface_m)
-    hit = surface_m.isfinite().nonzero()[:, 0]
-    if len(hit):
-        tr_m = field.config.truncation_m
-        spread_m = torch.linspace(-tr_m, tr_m, SURFACE_SAMPLES, device=directions.device)
-        z_m = (surface_m[hit, None] + spread_m).clamp_min(near_m)
-        points_m = origin_m + directions[hit, None] * z_m[..., None]
-        points, inside = field.normalise(points_m.reshape(-1, 3))
-        sdf, color, _ = field(points)
-        sdf = sdf.reshape(z_m.shape)
-        inside = inside.reshape(z_m.shape) & before_surface(sdf, z_m, tr_m)
-        weights = sdf_weights(sdf, inside)
-        colors[hit] = composite(weights, color.reshape(*z_m.shape, 3))
-        depths_m[hit] = (weights * z_m).sum(dim=1)
-    return colors, depths_m
+    found = surface_m.isfinite()
+    tr_m = field.config.truncation_m
+    spread_m = torch.linspace(-tr_m, tr_m, SURFACE_SAMPLES, device=directions.device)
+    z_m = (surface_m.where(found, 0.0)[:, None] + spread_m).clamp_min(near_m)
+    points_m = origin_m + directions[:, None] * z_m[..., None]
+    points, inside = field.normalise(points_m.reshape(-1, 3))
+    features = None
+    if space is None:
+        sdf, color = field(points)
+    else:
+        sdf, color, features = field.with_features(points, space)
+    sdf = sdf.reshape(z_m.shape)
+    counts = inside.reshape(z_m.shape) & before_surface(sdf, z_m, tr_m) & found[:, None]
+    weights = sdf_weights(sdf, counts)
+    colors = composite(weights, color.reshape(*z_m.shape, 3))
+    depths_m = (weights * z_m).sum(dim=1)
+    return colors, depths_m, features.rendered(weights) if features is not None else None
 
 
 def _march(

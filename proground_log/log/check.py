@@ -22,6 +22,8 @@ from proground_log.log.reader import (
     group_by_time,
 )
 from proground_log.log.registration import Registration
+from proground_log.log.task_record import TaskRecord
+from proground_log.regions import Regions
 
 LEAST_INSIDE = 0.5
 """Share of a frame's depth that has to lie inside the log's bounds: they enclose 99 % of all."""
@@ -124,6 +126,12 @@ def _frame_faults(
     except ProgroundError as error:
         yield Fault(name, _topic_of(error), error.what)
         return
+    if sensor.regions is not None:
+        height, width = sensor.regions.owner.shape
+        for what in _region_faults(sensor.regions, width, height, reader.task):
+            yield Fault(name, topics.REGIONS, what)
+    elif reader.task is not None:
+        yield Fault(name, topics.REGIONS, "the message is missing")
     depth_m = sensor.depth_m
     if not np.isfinite(depth_m).all():
         yield Fault(name, topics.DEPTH, "has depths that are not finite")
@@ -146,3 +154,22 @@ def _frame_faults(
     if inside < LEAST_INSIDE:
         what = f"only {inside:.0%} of its depth lies inside the log's bounds"
         yield Fault(name, topics.DEPTH, what)
+
+
+def _region_faults(
+    regions: Regions, width: int, height: int, task: TaskRecord | None
+) -> Iterator[str]:
+    """What is wrong with the regions of an image of this size."""
+    boxes, relevance = regions.boxes, regions.relevance
+    if task is None:
+        yield "has regions, and the log names no task"
+    elif relevance.shape[1] != len(task.prompts):
+        yield f"has relevance to {relevance.shape[1]} prompts, the task has {len(task.prompts)}"
+    # Written so that numbers that are not finite fail as well.
+    start, end = boxes[:, :2], boxes[:, 2:]
+    if not ((start >= 0) & (start <= end) & (end <= (width, height))).all():
+        yield f"has a box that is not finite or not inside the image of {width}x{height}"
+    if not ((relevance >= 0) & (relevance <= 1)).all():
+        yield "has a relevance that is not from 0 to 1"
+    if not np.isfinite(regions.embeddings).all():
+        yield "has an embedding that is not finite"

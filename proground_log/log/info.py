@@ -10,6 +10,7 @@ import numpy as np
 from proground_log.camera import Camera
 from proground_log.log import topics
 from proground_log.log.reader import LogReader
+from proground_log.log.task_record import TaskRecord
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,7 @@ class LogInfo:
         messages: count by topic.
         labels: class names by label.
         has_mesh: whether a labelled ground-truth mesh is attached.
+        task: what perception looked for and how many regions it found; None before it ran.
     """
 
     path: str
@@ -46,6 +48,7 @@ class LogInfo:
     messages: dict[str, int]
     labels: dict[int, str]
     has_mesh: bool
+    task: TaskRecord | None
 
 
 def log_info(path: Path) -> LogInfo:
@@ -75,6 +78,7 @@ def log_info(path: Path) -> LogInfo:
         messages=counts,
         labels=reader.label_names,
         has_mesh=reader.attachment(topics.MESH_ATTACHMENT) is not None,
+        task=reader.task,
     )
 
 

@@ -1,8 +1,8 @@
 """ROS 2 messages of a log: their definitions, and to and from what they mean.
 
 The definitions are the public ones of `builtin_interfaces`, `std_msgs`, `sensor_msgs`,
-`geometry_msgs` and `tf2_msgs`; an MCAP schema of encoding `ros2msg` carries them with all they
-depend on.
+`geometry_msgs` and `tf2_msgs`, and one of our own for regions; an MCAP schema of encoding `ros2msg`
+carries them with all they depend on.
 """
 
 from __future__ import annotations
@@ -86,11 +86,25 @@ float64 z 0
 float64 w 1
 """
 
+COMPRESSED_IMAGE_TYPE = "sensor_msgs/msg/CompressedImage"
+REGIONS_TYPE = "proground_msgs/msg/Regions"
+_REGIONS = f"""{_HEADER}float32[] boxes  # N x 4: x0 y0 x1 y1 in pixels of the colour image
+uint8[] levels  # N: level of the feature pyramid, 0 to 2
+uint32 prompts  # K, the prompts of the task
+float32[] relevance  # N x K, from 0 to 1
+uint8[] embeddings  # N x 512 float16, little endian
+bool[] is_box  # N: no mask fitted, the whole box stands in
+uint32 height  # of the colour image
+uint32 width
+uint8[] owner  # 16-bit PNG, height x width: 1 + the region that a pixel belongs to, 0 for none
+{_HEADER_DEFINITION}"""
+
 DEFINITIONS = {
-    "sensor_msgs/msg/CompressedImage": _COMPRESSED_IMAGE,
+    COMPRESSED_IMAGE_TYPE: _COMPRESSED_IMAGE,
     "sensor_msgs/msg/Image": _IMAGE,
     "sensor_msgs/msg/CameraInfo": _CAMERA_INFO,
     "tf2_msgs/msg/TFMessage": _TF_MESSAGE,
+    REGIONS_TYPE: _REGIONS,
 }
 """Message definitions by type name."""
 
@@ -109,7 +123,8 @@ def encoder(message_type: str) -> Callable[[object], bytes]:
     return encode
 
 
-def _header(stamp_ns: int, frame_id: str) -> SimpleNamespace:
+def header(stamp_ns: int, frame_id: str) -> SimpleNamespace:
+    """A header; raises a ProgroundError for a time that ROS 2 cannot say."""
     seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
     if seconds >= 2**31:
         raise ProgroundError(
@@ -139,7 +154,7 @@ def stamp_ns(message: Any) -> int:
 
 def compressed_image(data: bytes, image_format: str, stamp_ns: int, frame_id: str) -> object:
     """A CompressedImage that carries the encoded bytes as they are."""
-    return SimpleNamespace(header=_header(stamp_ns, frame_id), format=image_format, data=data)
+    return SimpleNamespace(header=header(stamp_ns, frame_id), format=image_format, data=data)
 
 
 def image(pixels: np.ndarray, encoding: str, stamp_ns: int, frame_id: str) -> object:
@@ -147,7 +162,7 @@ def image(pixels: np.ndarray, encoding: str, stamp_ns: int, frame_id: str) -> ob
     height, width = pixels.shape
     pixels = np.ascontiguousarray(pixels, dtype=_PIXEL_TYPES[encoding])
     return SimpleNamespace(
-        header=_header(stamp_ns, frame_id),
+        header=header(stamp_ns, frame_id),
         height=height,
         width=width,
         encoding=encoding,
@@ -176,7 +191,7 @@ def camera_info(camera: Camera, stamp_ns: int, frame_id: str) -> object:
     k = camera.k_integer_centres
     projection = np.concatenate([k, np.zeros((3, 1))], axis=1)
     return SimpleNamespace(
-        header=_header(stamp_ns, frame_id),
+        header=header(stamp_ns, frame_id),
         height=camera.height,
         width=camera.width,
         distortion_model="plumb_bob",
@@ -212,7 +227,7 @@ def transform_message(
     return SimpleNamespace(
         transforms=[
             SimpleNamespace(
-                header=_header(stamp_ns, parent), child_frame_id=child, transform=transform
+                header=header(stamp_ns, parent), child_frame_id=child, transform=transform
             )
         ]
     )

@@ -15,7 +15,7 @@ from typing import Any, BinaryIO
 import zstandard
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
-from mcap.records import Channel, Message, Schema, Statistics
+from mcap.records import AttachmentIndex, Channel, Message, Schema, Statistics
 from mcap.stream_reader import CRCValidationError
 from mcap.writer import MCAP0_MAGIC
 from mcap_ros2.decoder import DecoderFactory
@@ -26,6 +26,8 @@ from proground_log.files import require_file
 from proground_log.frame import SensorFrame
 from proground_log.log import messages, topics
 from proground_log.log.recording import Recording
+from proground_log.log.region_message import regions_of
+from proground_log.log.task_record import TaskRecord
 
 DAMAGE = (
     McapError,
@@ -41,6 +43,9 @@ length became absurd."""
 
 _FOOTER = struct.Struct("<BQQQI")
 """Opcode, length, start of the summary, start of its offsets, checksum."""
+
+_LENGTH = struct.Struct("<Q")
+_CHECKSUM_BYTES = 4
 
 FRAME_TOPICS = (topics.TF, topics.COLOR, topics.DEPTH)
 """Topics that every frame must have."""
@@ -88,8 +93,11 @@ class LogReader:
         self.statistics: Statistics | None = summary.statistics
         self.schemas: dict[int, Schema] = summary.schemas
         self.channels: dict[int, Channel] = summary.channels
-        self._attachments = summary.attachment_indexes
+        self.attachments: list[AttachmentIndex] = summary.attachment_indexes
+        self.metadata: dict[str, dict[str, str]] = metadata
         self.recording = Recording.from_metadata(metadata[topics.RECORDING_METADATA], where=path)
+        task = metadata.get(topics.TASK_METADATA)
+        self.task = None if task is None else TaskRecord.from_metadata(task, where=path)
 
     def __len__(self) -> int:
         return self.recording.frames
@@ -147,7 +155,7 @@ class LogReader:
 
     def attachment(self, name: str) -> bytes | None:
         """The bytes of an attachment, or None where the log has none of that name."""
-        for index in self._attachments:
+        for index in self.attachments:
             if index.name != name:
                 continue
             with self.path.open("rb") as stream, self._damage_named():
@@ -159,25 +167,32 @@ class LogReader:
                 return record[-4 - index.data_size : -4]
         return None
 
+    def groups(self) -> Iterator[list[RawMessage]]:
+        """The messages of each frame, as they stand in the file."""
+        count = 0
+        with self._reader() as reader:
+            for group in group_by_time(reader.iter_messages()):
+                yield group
+                count += 1
+        if count != len(self):
+            what = f"frame {count} is missing" if count < len(self) else f"has {count} frames"
+            raise ProgroundError(
+                f"{what}, the log announces {len(self)}",
+                where=self.path,
+                todo="see `pglog check`, or record it again",
+            )
+
     def frames(self, chosen: Sequence[int] | None = None) -> Iterator[SensorFrame]:
         """The frames of these numbers (ascending), or all; only they are decoded."""
         wanted = iter(range(len(self)) if chosen is None else chosen)
         following = next(wanted, None)
         decode = MessageDecoder()
-        with self._reader() as reader:
-            groups = group_by_time(reader.iter_messages())
-            for index, group in enumerate(groups):
-                if following is None:
-                    return
-                if index == following:
-                    yield decode_frame(index, group, decode, where=self.path)
-                    following = next(wanted, None)
-        if following is not None:
-            raise ProgroundError(
-                f"frame {following} is missing, the log announces {len(self)}",
-                where=self.path,
-                todo="see `pglog check`, or record it again",
-            )
+        for index, group in enumerate(self.groups()):
+            if following is None:
+                return
+            if index == following:
+                yield decode_frame(index, group, decode, where=self.path)
+                following = next(wanted, None)
 
 
 def _require_whole_summary(stream: BinaryIO, path: Path) -> None:
@@ -196,6 +211,14 @@ def _require_whole_summary(stream: BinaryIO, path: Path) -> None:
     if last != MCAP0_MAGIC:
         raise ProgroundError("the file is cut off", where=path, todo="copy or record it again")
     *_, start, _, checksum = _FOOTER.unpack(footer)
+    # The length of the record that ends the data, the one number that no checksum covers.
+    stream.seek(max(0, min(start, end) - _LENGTH.size - _CHECKSUM_BYTES))
+    if start and stream.read(_LENGTH.size) != _LENGTH.pack(_CHECKSUM_BYTES):
+        raise ProgroundError(
+            "the file is damaged: its data do not end as they should",
+            where=path,
+            todo="copy or record it again",
+        )
     stream.seek(min(start, end))
     covered = stream.read(max(0, end - start - magic - 4))
     if start and checksum and zlib.crc32(covered) != checksum:
@@ -225,7 +248,7 @@ def decode_frame(
     index: int, group: list[RawMessage], decode: MessageDecoder, *, where: object
 ) -> SensorFrame:
     """Make a frame of its messages; raises a ProgroundError that names frame and topic."""
-    wanted = (*FRAME_TOPICS, topics.LABELS)
+    wanted = (*FRAME_TOPICS, topics.LABELS, topics.REGIONS)
     at = f"{where}, frame {index}, "
     found = {
         channel.topic: decode(schema, message, where=at + channel.topic)
@@ -237,7 +260,7 @@ def decode_frame(
             raise ProgroundError(
                 "the message is missing", where=at + topic, todo="record the log again"
             )
-    labels = found.get(topics.LABELS)
+    labels, regions = found.get(topics.LABELS), found.get(topics.REGIONS)
     return SensorFrame(
         index=index,
         stamp_ns=group[0][2].log_time,
@@ -250,4 +273,5 @@ def decode_frame(
             where=at + topics.TF,
         ),
         labels=None if labels is None else messages.image_pixels(labels, where=at + topics.LABELS),
+        regions=None if regions is None else regions_of(regions, where=at + topics.REGIONS),
     )

@@ -42,7 +42,7 @@ class Recording:
             "bounds_upper_m": json.dumps(self.bounds.upper_m),
             "notes": json.dumps(self.notes, sort_keys=True),
         }
-        return {**metadata, CHECKSUM: _checksum(metadata)}
+        return {**metadata, CHECKSUM: checksum(metadata)}
 
     @classmethod
     def from_metadata(cls, metadata: dict[str, str], *, where: object) -> Recording:
@@ -55,7 +55,7 @@ class Recording:
                 todo="record it again with this version of pglog",
             )
         try:
-            if metadata.get(CHECKSUM, expected := _checksum(metadata)) != expected:
+            if metadata.get(CHECKSUM, expected := checksum(metadata)) != expected:
                 raise ValueError("its checksum does not hold")
             return cls(
                 source=metadata["source"],
@@ -73,7 +73,7 @@ class Recording:
             ) from error
 
 
-def _checksum(metadata: dict[str, str]) -> str:
+def checksum(metadata: dict[str, str]) -> str:
     """CRC-32 of all but the checksum itself; MCAP guards metadata only with the whole file."""
     content = sorted((key, text) for key, text in metadata.items() if key != CHECKSUM)
     return f"{zlib.crc32(json.dumps(content).encode()):08x}"

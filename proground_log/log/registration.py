@@ -1,8 +1,8 @@
 """Registration: bring what two cameras saw into the depth camera's pixels.
 
 The log keeps what the sensors gave; the mapper wants one camera. A registered frame lives in the
-depth camera, without its distortion, and colour and labels are looked up by projecting each depth
-pixel into the colour camera.
+depth camera, without its distortion, and colour, labels and regions are looked up by projecting
+each depth pixel into the colour camera.
 """
 
 from __future__ import annotations
@@ -13,12 +13,15 @@ import numpy as np
 
 from proground_log.camera import Calibration, Camera
 from proground_log.errors import ProgroundError
-from proground_log.frame import Frame, SensorFrame
+from proground_log.frame import AT_EDGE, Frame, SensorFrame
 from proground_log.log import topics
 
 OCCLUSION_TOLERANCE_M = 0.05
 """A surface this much behind the nearest one along a colour ray is hidden from the colour
 camera; sensor noise at 4 m stays below."""
+JUMP_SHARE, JUMP_M = 0.05, 0.02
+"""Neighbours whose depths differ by more than this share of the depth plus this length lie on two
+surfaces: noise grows with depth and stays below, and so does a wall that is not seen edge-on."""
 
 
 class Registration:
@@ -35,11 +38,13 @@ class Registration:
     def __call__(self, sensor: SensorFrame) -> Frame:
         """Decode and register a frame; raises a ProgroundError that names it."""
         color = sensor.decode_color()
-        depth_m, labels = sensor.depth_m, sensor.labels
+        depth_m, labels, regions = sensor.depth_m, sensor.labels, sensor.regions
+        owner = None if regions is None else regions.owner
         for image, camera, topic in (
             (color, self._calibration.color, topics.COLOR),
             (depth_m, self._calibration.depth, topics.DEPTH),
             (labels, self._calibration.color, topics.LABELS),
+            (owner, self._calibration.color, topics.REGIONS),
         ):
             if image is not None and image.shape[:2] != (camera.height, camera.width):
                 raise ProgroundError(
@@ -54,8 +59,7 @@ class Registration:
         if self._color_maps:
             color = cv2.remap(color, *self._color_maps, cv2.INTER_LINEAR)
             valid = cv2.remap(valid, *self._color_maps, cv2.INTER_NEAREST)
-            if labels is not None:
-                labels = cv2.remap(labels, *self._color_maps, cv2.INTER_NEAREST)
+            labels, owner = (_nearest(numbers, *self._color_maps) for numbers in (labels, owner))
         if not self._calibration.is_registered:
             rays, k = self._camera.directions, self._calibration.color
             intrinsics = np.array([k.fx, k.fy, k.cx, k.cy])
@@ -64,8 +68,7 @@ class Registration:
             )
             valid = cv2.remap(valid, columns, rows, cv2.INTER_NEAREST, borderValue=0)
             color = cv2.remap(color, columns, rows, cv2.INTER_LINEAR, borderValue=0)
-            if labels is not None:
-                labels = cv2.remap(labels, columns, rows, cv2.INTER_NEAREST, borderValue=0)
+            labels, owner = (_nearest(numbers, columns, rows) for numbers in (labels, owner))
         return Frame(
             index=sensor.index,
             stamp_ns=sensor.stamp_ns,
@@ -75,7 +78,33 @@ class Registration:
             color=color,
             color_valid=valid.astype(bool),
             labels=labels,
+            regions=regions,
+            region_of=None if owner is None else _within_surfaces(owner, depth_m),
         )
+
+
+def _nearest(
+    numbers: np.ndarray | None, columns: np.ndarray, rows: np.ndarray
+) -> np.ndarray | None:
+    """Look numbers up, which cannot be mixed, at these places; 0 outside of the image."""
+    if numbers is None:
+        return None
+    return cv2.remap(numbers, columns, rows, cv2.INTER_NEAREST, borderValue=0)
+
+
+def _within_surfaces(owner: np.ndarray, depth_m: np.ndarray) -> np.ndarray:
+    """The region of each pixel, int32 [H, W], -1 for none, -2 beside a depth jump or a hole.
+
+    A mask bleeds over the edge of its object, and in 3D what bleeds lies far behind it: such a
+    pixel may belong to either side.
+    """
+    around = np.ones((3, 3), np.uint8)
+    nearest_m, farthest_m = cv2.erode(depth_m, around), cv2.dilate(depth_m, around)
+    tolerance_m = JUMP_SHARE * depth_m + JUMP_M
+    is_jump = (farthest_m - depth_m > tolerance_m) | (depth_m - nearest_m > tolerance_m)
+    region_of = owner.astype(np.int32) - 1
+    region_of[is_jump | (nearest_m <= 0)] = AT_EDGE
+    return region_of
 
 
 def _rectification(camera: Camera) -> tuple[np.ndarray, np.ndarray] | None:

@@ -13,11 +13,17 @@ TF = "/tf"
 TF_STATIC = "/tf_static"
 LABELS = "/ground_truth/labels"
 LABELS_PREVIEW = "/ground_truth/labels_preview"
+REGIONS = "/perception/regions"
+REGIONS_PREVIEW = "/perception/preview"
+
+PERCEPTION = frozenset({REGIONS, REGIONS_PREVIEW})
+"""What `pglog perceive` adds to a log, and replaces where it is there."""
 
 WORLD_FRAME = "world"
 COLOR_FRAME = "camera_color_optical_frame"
 DEPTH_FRAME = "camera_depth_optical_frame"
 
 RECORDING_METADATA = "proground.recording"
+TASK_METADATA = "proground.task"
 LABEL_NAMES_ATTACHMENT = "label_names.json"
 MESH_ATTACHMENT = "ground_truth_mesh.ply"

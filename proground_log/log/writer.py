@@ -35,8 +35,27 @@ _MESSAGE_TYPES = {
 }
 
 
+def start_mcap(stream: BinaryIO) -> Writer:
+    """A writer of MCAP as every log is written: ROS 2 profile, zstd chunks, all checksums."""
+    writer = Writer(
+        stream,
+        chunk_size=CHUNK_BYTES,
+        compression=CompressionType.ZSTD,
+        enable_crcs=True,
+        enable_data_crcs=True,
+    )
+    writer.start(profile="ros2", library="proground-log")
+    return writer
+
+
+def register_schema(writer: Writer, message_type: str) -> int:
+    """Add the definition of one of our message types; returns its number."""
+    definition = messages.DEFINITIONS[message_type].encode()
+    return writer.register_schema(message_type, SchemaEncoding.ROS2, definition)
+
+
 class LogWriter:
-    """Writes one log; made by `open_writer`.
+    """Writes one log; made by `open_writer`. Regions come later, by `RegionsWriter`.
 
     All messages of a frame carry the frame's time as log time, so that equal times mean one
     frame; the images' headers keep the sensors' own times.
@@ -44,19 +63,10 @@ class LogWriter:
 
     def __init__(self, stream: BinaryIO, calibration: Calibration) -> None:
         self._calibration = calibration
-        self._writer = Writer(
-            stream,
-            chunk_size=CHUNK_BYTES,
-            compression=CompressionType.ZSTD,
-            enable_crcs=True,
-            enable_data_crcs=True,
-        )
-        self._writer.start(profile="ros2", library="proground-log")
-        self._encoders = {name: messages.encoder(name) for name in messages.DEFINITIONS}
-        self._schema_ids = {
-            name: self._writer.register_schema(name, SchemaEncoding.ROS2, text.encode())
-            for name, text in messages.DEFINITIONS.items()
-        }
+        self._writer = start_mcap(stream)
+        types = [name for name in messages.DEFINITIONS if name in _MESSAGE_TYPES.values()]
+        self._encoders = {name: messages.encoder(name) for name in types}
+        self._schema_ids = {name: register_schema(self._writer, name) for name in types}
         # The same in every frame but for their time, and slow to encode.
         encode_info = self._encoders["sensor_msgs/msg/CameraInfo"]
         self._camera_infos = {

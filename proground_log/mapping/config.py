@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from proground_log.field.config import FieldConfig
+from proground_log.field.config import FieldConfig, SemanticSpace
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,35 @@ class LossWeights:
     sdf: float = 200.0
     free_space: float = 10.0
     smoothness: float = 1e-3
+    semantic: float = 1.0
+    scale: float = 1.0
+    uncertainty: float = 1.0
+
+
+@dataclass(frozen=True)
+class SemanticsConfig:
+    """How meaning is learnt, where there are regions to learn it from (paper 4.3)."""
+
+    enabled: bool = True
+    """Learn it."""
+    space: SemanticSpace = SemanticSpace()
+    filter_regions: bool = True
+    """Learn from regions above the task's relevance threshold alone (lambda_tau in Eq. 3)."""
+    weight_regions: bool = True
+    """Weight each region by its relevance (c_tau in Eq. 5)."""
+    rays: int = 256
+    """Semantic rays of a step, apart from those of colour and geometry."""
+    background_rays: int = 128
+    """Rays of a step that hit no region: they teach what is without supervision."""
+    samples: int = 11
+    """Samples of such a ray, over the surface's range."""
+    capacity: int = 200_000
+    """Most semantic rays held, and most background rays."""
+    keyframe_rays: int = 4_000
+    """Semantic rays kept of a keyframe, shared out among its regions, and background rays."""
+    balance: float = 0.5
+    """Labels are drawn in proportion to their rays to this power: 1 every ray alike, 0 every label
+    alike."""
 
 
 @dataclass(frozen=True)
@@ -58,10 +87,13 @@ class MapperConfig:
     sampling: SamplingConfig = SamplingConfig()
     weights: LossWeights = LossWeights()
     buffer: BufferConfig = BufferConfig()
+    semantics: SemanticsConfig = SemanticsConfig()
     beta: float = 1.0
     """Weight of a replayed ray against one of the current frame (paper, Eq. 2)."""
     learning_rate: float = 1e-2
     """Adam's, for table and decoders."""
+    average_share: float = 0.1
+    """Share of the newest parameters in the averaged field, the map, every ten steps."""
     smoothness_points: int = 8
     """Points along an axis of the lattice that the smoothness loss looks at."""
     smoothness_spacing_m: float = 0.1

@@ -39,7 +39,7 @@ class ObservedSurface:
         self.voxels[tuple(cells.T)] = True
 
     def near_lattice(self, axes_m: list[np.ndarray]) -> np.ndarray:
-        """Which points of a lattice lie in a marked voxel or a neighbour of one.
+        """Which points of a lattice lie in a marked voxel or within a spacing of one.
 
         Args:
             axes_m: the lattice's coordinates along x, y and z.
@@ -47,7 +47,9 @@ class ObservedSurface:
         Returns:
             bool [len(x), len(y), len(z)].
         """
-        grown = binary_dilation(self.voxels, np.ones((3, 3, 3), bool))
+        spacing_m = max((float(np.diff(axis_m).max(initial=0)) for axis_m in axes_m), default=0)
+        reach = max(1, int(np.ceil(spacing_m / VOXEL_M - 1e-6)))
+        grown = binary_dilation(self.voxels, np.ones((3, 3, 3), bool), iterations=reach)
         lower_m, most = self.bounds.lower_m, np.array(self.voxels.shape) - 1
         cells = [
             np.floor((axis_m - lower_m[i]) / VOXEL_M).astype(np.int64).clip(0, most[i])

@@ -5,6 +5,7 @@ It knows no clock, no file and no viewer.
 
 from __future__ import annotations
 
+import copy
 import hashlib
 from dataclasses import dataclass
 
@@ -21,11 +22,15 @@ from proground_log.field.sampling import sample_depths
 from proground_log.frame import Frame
 from proground_log.mapping.config import MapperConfig
 from proground_log.mapping.observed import ObservedSurface
+from proground_log.mapping.optimiser import ADAM_BETAS, restore_training, training_state, under
 from proground_log.mapping.replay_buffer import RaySamples, ReplayBuffer, ray_samples
+from proground_log.mapping.semantic_learner import SemanticInsertion, SemanticLearner
+from proground_log.perception.description import PerceptionDescription
 from proground_log.streams import stream
 
-ADAM_BETAS = (0.9, 0.99)
 TABLE_EPSILON = 1e-15
+AVERAGE_EVERY = 10
+"""Steps between two moves of the averaged field."""
 DECODER_WEIGHT_DECAY = 1e-6
 
 
@@ -42,14 +47,27 @@ class StepResult:
 class OnlineMapper:
     """Learns the field from a stream of posed frames, remembering the past in a replay buffer.
 
+    `field` is what the optimiser moves, `averaged` the running mean of what it has been of late:
+    the map. Few rays a step make the former tremble; the mean of some twenty frames renders up to
+    half a decibel better, and semantics are learnt on features that stand still. `pixels` are the
+    flat numbers of the newest frame's usable pixels.
+
     Args:
         config: settings.
         bounds: the box to map; what lies outside is masked.
         seed: of every random draw.
         device: "cpu" or "cuda".
+        perception: what the frames' regions mean; None where they have none.
     """
 
-    def __init__(self, config: MapperConfig, bounds: Bounds, seed: int, device: str) -> None:
+    def __init__(
+        self,
+        config: MapperConfig,
+        bounds: Bounds,
+        seed: int,
+        device: str,
+        perception: PerceptionDescription | None = None,
+    ) -> None:
         self.config, self.bounds, self.seed = config, bounds, seed
         self.device = torch.device(device)
         self.field = NeuralField(config.field, bounds, seed).to(self.device)
@@ -65,10 +83,15 @@ class OnlineMapper:
             betas=ADAM_BETAS,
             fused=True,
         )
+        self.averaged = copy.deepcopy(self.field).requires_grad_(False)
+        self.semantics: SemanticLearner | None = None
+        if perception is not None and config.semantics.enabled:
+            self.semantics = SemanticLearner(config, perception, self.averaged, seed)
         self._frame: Frame | None = None
-        self._pixels = np.zeros(0, np.int64)
+        self.pixels = np.zeros(0, np.int64)
         self._mapped = 0
         self._iteration = 0
+        self._steps = 0
 
     def insert(self, frame: Frame) -> KeyframeInserted | None:
         """Make `frame` the current one; every so many frames it becomes a keyframe."""
@@ -77,20 +100,29 @@ class OnlineMapper:
         usable = (frame.depth_m > 0) & frame.color_valid
         candidates = np.flatnonzero(usable)
         points_m = ray_samples(frame, candidates).points_m()
-        self._pixels = candidates[self.bounds.contains(points_m)]
+        self.pixels = candidates[self.bounds.contains(points_m)]
         is_keyframe = self._mapped % self.config.buffer.keyframe_every == 0
         self._mapped += 1
-        if not is_keyframe or not len(self._pixels):
+        semantic = SemanticInsertion(0, 0)
+        if self.semantics is not None:
+            semantic = self.semantics.insert(frame, self.pixels, keyframe=is_keyframe)
+        if not is_keyframe or not len(self.pixels):
             return None
         random = stream(self.seed, "buffer", frame.index)
-        count = min(self.config.buffer.keyframe_samples, len(self._pixels))
-        chosen = np.sort(random.choice(self._pixels, size=count, replace=False))
+        count = min(self.config.buffer.keyframe_samples, len(self.pixels))
+        chosen = np.sort(random.choice(self.pixels, size=count, replace=False))
         evicted = self.buffer.insert(frame.index, ray_samples(frame, chosen), random)
-        return KeyframeInserted(frame.index, inserted=count, evicted=evicted)
+        return KeyframeInserted(
+            frame.index,
+            inserted=count,
+            evicted=evicted,
+            semantic_inserted=semantic.inserted,
+            semantic_evicted=semantic.evicted,
+        )
 
     def step(self) -> StepResult | None:
         """One optimisation step; None where neither the frame nor the buffer has a sample."""
-        if self._frame is None or not (len(self._pixels) or len(self.buffer)):
+        if self._frame is None or not (len(self.pixels) or len(self.buffer)):
             return None
         rays, current, draws = self._draw_rays()
         sampling = self.config.sampling
@@ -112,17 +144,35 @@ class OnlineMapper:
         self.optimiser.zero_grad(set_to_none=True)
         total.backward()
         self.optimiser.step()
+        self._average()
+        *values, sum_of_terms = torch.stack([*terms.values(), total]).detach().cpu().tolist()
+        losses = dict(zip(terms, values, strict=True))
+        if self.semantics is not None:
+            semantic = self.semantics.step(self._frame.index, self._iteration)
+            if semantic is not None:
+                losses |= semantic.losses
+                sum_of_terms += semantic.total
+                draws += semantic.draws
         self._iteration += 1
-        values = torch.stack([*terms.values(), total]).detach().cpu().tolist()
         digest = hashlib.sha256()
         for draw in (*draws, jitter, corner):
             digest.update(draw.tobytes())
         return StepResult(
-            losses=dict(zip([*terms, "total"], values, strict=True)),
+            losses={**losses, "total": sum_of_terms},
             draws_digest=digest.hexdigest(),
             rays_current=current,
             rays_replayed=len(rays) - current,
         )
+
+    def _average(self) -> None:
+        """Let the averaged field follow; at first it is close behind, so that it starts well."""
+        if self._steps % AVERAGE_EVERY == 0:
+            share = max(self.config.average_share, 2 / (self._steps // AVERAGE_EVERY + 2))
+            with torch.no_grad():
+                pairs = zip(self.averaged.parameters(), self.field.parameters(), strict=True)
+                for averaged, newest in pairs:
+                    averaged.lerp_(newest, share)
+        self._steps += 1
 
     def _draw_rays(self) -> tuple[RaySamples, int, list[np.ndarray]]:
         """The step's rays, those of the current frame first, their number, and the draws."""
@@ -130,15 +180,15 @@ class OnlineMapper:
         sampling = self.config.sampling
         random = stream(self.seed, "rays", self._frame.index, self._iteration)
         current = sampling.rays
-        if not len(self._pixels):
+        if not len(self.pixels):
             current = 0
         elif len(self.buffer):
             current = round(sampling.rays * sampling.current_share)
         draws = []
         rays = RaySamples.empty()
         if current:
-            draws.append(random.integers(0, len(self._pixels), size=current))
-            rays = ray_samples(self._frame, self._pixels[draws[-1]])
+            draws.append(random.integers(0, len(self.pixels), size=current))
+            rays = ray_samples(self._frame, self.pixels[draws[-1]])
         if current < sampling.rays:
             draws.append(random.integers(0, len(self.buffer), size=sampling.rays - current))
             rays = RaySamples.concatenate(rays, self.buffer.take(draws[-1]))
@@ -161,7 +211,7 @@ class OnlineMapper:
         lattice = self._lattice(corner)
         # One call for both: each costs a gradient of the size of the whole table.
         hashed = self.field.hash_features(torch.cat([points, lattice]))
-        sdf, color, _ = self.field.decode(points, hashed[: len(points)])
+        sdf, color = self.field.decode(points, hashed[: len(points)])
         sdf = sdf.reshape(count, samples)
         weights = sdf_weights(sdf, inside & before_surface(sdf.detach(), z_m, tr_m))
         rendered = composite(weights, color.reshape(count, samples, 3))
@@ -196,33 +246,27 @@ class OnlineMapper:
 
         Views, not copies: good until the next step or frame.
         """
-        tensors = {f"field/{name}": p.detach() for name, p in self.field.named_parameters()}
-        for number, moments in self.optimiser.state_dict()["state"].items():
-            for name, value in moments.items():
-                tensors[f"optimiser/{number}/{name}"] = value
-        state = {name: tensor.cpu().numpy() for name, tensor in tensors.items()}
+        state = training_state(self.field, self.optimiser)
         state |= {f"buffer/{name}": array for name, array in self.buffer.state().items()}
         state["observed/voxels"] = np.packbits(self.observed.voxels)
-        state["mapped"] = np.array([self._mapped])
+        for name, parameter in self.averaged.named_parameters():
+            state[f"averaged/{name}"] = parameter.detach().cpu().numpy()
+        state["mapped"] = np.array([self._mapped, self._steps])
+        if self.semantics is not None:
+            state |= {f"semantics/{name}": a for name, a in self.semantics.state().items()}
         return state
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Go back to what `state` returned, after the last step of a frame."""
-        parts: dict[str, dict[str, np.ndarray]] = {"field": {}, "optimiser": {}, "buffer": {}}
-        for name, array in state.items():
-            part, _, rest = name.partition("/")
-            parts.setdefault(part, {})[rest] = array
-        with torch.no_grad():
-            for name, parameter in self.field.named_parameters():
-                parameter.copy_(torch.from_numpy(parts["field"][name]))
-        saved = self.optimiser.state_dict()
-        saved["state"] = {}
-        for name, array in sorted(parts["optimiser"].items()):
-            number, _, moment = name.partition("/")
-            saved["state"].setdefault(int(number), {})[moment] = torch.from_numpy(array.copy())
-        self.optimiser.load_state_dict(saved)
-        self.buffer.restore(parts["buffer"])
+        restore_training(self.field, self.optimiser, state)
+        self.buffer.restore(under("buffer", state))
         voxels = np.unpackbits(state["observed/voxels"], count=self.observed.voxels.size)
         self.observed.voxels = voxels.reshape(self.observed.voxels.shape).astype(bool)
-        self._mapped = int(state["mapped"][0])
+        averaged = under("averaged", state)
+        with torch.no_grad():
+            for name, parameter in self.averaged.named_parameters():
+                parameter.copy_(torch.from_numpy(averaged[name]))
+        self._mapped, self._steps = (int(count) for count in state["mapped"])
+        if self.semantics is not None:
+            self.semantics.restore(under("semantics", state))
         self._frame = None

@@ -8,6 +8,7 @@ import numpy as np
 
 from proground_log.events import BufferStatistics
 from proground_log.frame import Frame
+from proground_log.mapping.water_level import below_water_level
 
 EVICTION_SHARE = 0.9
 """Part of the capacity that an eviction leaves: sorting all samples at every keyframe is slow."""
@@ -113,25 +114,14 @@ class ReplayBuffer:
         self._keyframes = np.concatenate([self._keyframes, keyframes])
         before = len(self)
         if before > self._capacity:
-            self._keep(self._below_water_level(round(EVICTION_SHARE * self._capacity)))
+            most = round(EVICTION_SHARE * self._capacity)
+            self._keep(below_water_level(self._places, self._ranks, most))
         return before - len(self)
 
     def _places_of(self, rays: RaySamples) -> np.ndarray:
         """The cell of each sample's surface point as one number, int64 [N]."""
         cells = np.floor(rays.points_m() / np.float32(self._place_m)).astype(np.int64)
         return (cells[:, 0] << 42) + (cells[:, 1] << 21) + cells[:, 2]
-
-    def _below_water_level(self, most: int) -> np.ndarray:
-        """The rows that stay, ascending: at the highest level at which they are `most` or fewer."""
-        order = np.lexsort((self._ranks, self._places))
-        places = self._places[order]
-        first_of_place = np.concatenate([[True], places[1:] != places[:-1]])
-        starts = np.flatnonzero(first_of_place)
-        position = np.arange(len(order)) - starts[np.cumsum(first_of_place) - 1]
-        # Entry n: how many samples stay when each place keeps its first n + 1.
-        staying = np.cumsum(np.bincount(position))
-        level = int(np.searchsorted(staying, most, side="right"))
-        return np.sort(order[position < level])
 
     def _keep(self, rows: np.ndarray) -> None:
         self._rays = self._rays.take(rows)

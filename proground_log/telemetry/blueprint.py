@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.encodings import TextLogColumnKind
@@ -11,19 +13,50 @@ from proground_log.log.topics import COLOR, DEPTH, LABELS_PREVIEW
 APPLICATION_ID = "proground-log"
 BACKGROUND = (24, 26, 31)
 TIMELINES = ("frame", "step", "sim_time")
+SEMANTIC_LOSSES = ("semantic", "scale", "uncertainty")
+"""The terms of the loss that only a replay with a task has."""
+HEADS = ("label", "scale", "background", "uncertainty")
+"""The scores of `SemanticScores`."""
+SEMANTIC_BUFFER = ("semantic_samples", "background", "semantic_inserted", "semantic_evicted")
+"""Figures of the memory of meaning that are of one order."""
+COLOR_AND_DEPTH = {
+    f"{which}/{what}": f"{title}: {which}"
+    for what, title in (("color", "Colour"), ("depth", "Depth"))
+    for which in ("input", "rendered", "error")
+}
+"""Titles of views by entity, in rows of three."""
+LABELS = {
+    "input/labels": "Labels: input",
+    "rendered/labels": "Labels: rendered",
+    "rendered/semantics": "Embeddings",
+}
+MEANING = {
+    "input/color": "Colour: input",
+    **LABELS,
+    "rendered/scale": "Scale",
+    "rendered/uncertainty": "Uncertainty",
+}
 
 
-def replay_blueprint() -> rrb.Blueprint:
-    """The layout of a replay's recording: the map, the views beside the input, the curves."""
-    replay = rrb.Vertical(
-        rrb.Horizontal(_map_view(), _view_grid(), column_shares=[5, 6]),
-        rrb.Horizontal(_losses(), _buffer(), _log(), column_shares=[4, 3, 4]),
-        row_shares=[5, 2],
-        name="Replay",
-    )
-    summary = rrb.TextDocumentView(origin="summary", name="Summary")
+def replay_blueprint(*, with_semantics: bool = False) -> rrb.Blueprint:
+    """The layout of a replay's recording: the map, the views beside the input, the curves.
+
+    Args:
+        with_semantics: whether the replay has a task, so that there is meaning to show.
+    """
+    if with_semantics:
+        pictures = rrb.Horizontal(_map_tabs(), _view_tabs(), column_shares=[5, 6])
+        plots = _loss_tabs(), _heads(), _semantic_buffer()
+        curves = rrb.Horizontal(*plots, _log(), column_shares=[3, 3, 4, 3])
+    else:
+        pictures = rrb.Horizontal(_map_view(), _view_grid(), column_shares=[5, 6])
+        curves = rrb.Horizontal(_losses(), _buffer(), _log(), column_shares=[4, 3, 4])
+    replay = rrb.Vertical(pictures, curves, row_shares=[5, 2], name="Replay")
+    documents = [rrb.TextDocumentView(origin="summary", name="Summary")]
+    if with_semantics:
+        documents.append(rrb.TextDocumentView(origin="task", name="Task"))
     return rrb.Blueprint(
-        rrb.Tabs(replay, summary, active_tab=0),
+        rrb.Tabs(replay, *documents, active_tab=0),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         # Following puts the cursor at the end: the newest frame and the finished map.
@@ -62,7 +95,7 @@ def log_blueprint(
     )
 
 
-def _map_view() -> rrb.Spatial3DView:
+def _map_view(name: str = "Map", contents: Sequence[str] = ("$origin/**",)) -> rrb.Spatial3DView:
     up_to_cursor = rrb.VisibleTimeRanges(
         [
             rr.VisibleTimeRange(
@@ -75,45 +108,103 @@ def _map_view() -> rrb.Spatial3DView:
     )
     return rrb.Spatial3DView(
         origin="world",
-        name="Map",
+        contents=contents,
+        name=name,
         background=rrb.Background(color=BACKGROUND),
         line_grid=rrb.LineGrid3D(visible=False),
         overrides={"world/trajectory": [up_to_cursor]},
     )
 
 
-def _view_grid() -> rrb.Grid:
-    rows = ("color", "Colour"), ("depth", "Depth")
-    columns = ("input", "input"), ("rendered", "rendered"), ("error", "error")
+def _map_tabs() -> rrb.Tabs:
+    """The same surface in its own colour and in those of its meaning."""
+    others = ("Semantics", "semantics"), ("Features", "features"), ("Relevance", "relevance")
+    return rrb.Tabs(
+        *(
+            _map_view(title, ["+ $origin/**", "- $origin/map/**", f"+ $origin/map/{what}/**"])
+            for title, what in (("Map", "color"), *others)
+        ),
+        active_tab=0,
+    )
+
+
+def _view_grid(pictures: Mapping[str, str] = COLOR_AND_DEPTH, name: str = "Views") -> rrb.Grid:
     views = [
-        rrb.Spatial2DView(origin=f"view/{which}/{what}", name=f"{title}: {label}")
-        for what, title in rows
-        for which, label in columns
+        rrb.Spatial2DView(origin=f"view/{entity}", name=title) for entity, title in pictures.items()
     ]
-    return rrb.Grid(*views, grid_columns=len(columns))
+    return rrb.Grid(*views, grid_columns=3, name=name)
 
 
-def _losses() -> rrb.TimeSeriesView:
-    return rrb.TimeSeriesView(origin="loss", name="Losses", plot_legend=rrb.Corner2D.RightTop)
+def _view_tabs() -> rrb.Tabs:
+    """Labels join colour and depth; a tab of its own has all of the meaning."""
+    return rrb.Tabs(
+        _view_grid(COLOR_AND_DEPTH | LABELS),
+        _view_grid(MEANING, "Meaning"),
+        active_tab=0,
+    )
+
+
+def _losses(contents: Sequence[str] = ("$origin/**",), name: str = "Losses") -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(
+        origin="loss", contents=contents, name=name, plot_legend=rrb.Corner2D.RightTop
+    )
+
+
+def _loss_tabs() -> rrb.Tabs:
+    """Terms of one order together: beside a distance between embeddings all others are flat."""
+    semantic, *others = (f"$origin/{name}" for name in SEMANTIC_LOSSES)
+    larger = [semantic, "$origin/total"]
+    return rrb.Tabs(
+        _losses(["+ $origin/**", *(f"- {entity}" for entity in (*larger, *others))]),
+        _losses([f"+ {entity}" for entity in larger], "semantic, total"),
+        _losses([f"+ {entity}" for entity in others], "scale, uncertainty"),
+        active_tab=0,
+    )
+
+
+def _heads() -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(
+        origin="heads",
+        name="Heads: % right",
+        axis_y=rrb.ScalarAxis(range=(0.0, 100.0)),
+        plot_legend=rrb.Corner2D.RightBottom,
+    )
 
 
 def _buffer() -> rrb.Tabs:
-    def plot(name: str, *entities: str, axis: rrb.ScalarAxis | None = None) -> rrb.TimeSeriesView:
-        contents = [f"/buffer/{entity}" for entity in entities]
-        return rrb.TimeSeriesView(
-            origin="buffer",
-            contents=contents,
-            name=name,
-            axis_y=axis,
-            plot_legend=rrb.Corner2D.LeftTop,
-        )
-
     return rrb.Tabs(
-        plot("Buffer", "samples", "inserted", "evicted"),
-        plot("share", "share", axis=rrb.ScalarAxis(range=(0.0, 1.0))),
-        plot("places", "keyframes", "places", "water_level"),
-        plot("bytes", "size_bytes"),
+        _buffer_plot("Buffer", "samples", "inserted", "evicted"),
+        _buffer_plot("share", "share", y=(0.0, 1.0)),
+        _buffer_plot("places", "keyframes", "places", "water_level"),
+        _buffer_plot("bytes", "size_bytes"),
         active_tab=0,
+    )
+
+
+def _semantic_buffer() -> rrb.Tabs:
+    """Both buffers; the labels come first, since their legend explains the label images."""
+    return rrb.Tabs(
+        _buffer_plot("Labels", "labels"),
+        _buffer_plot("levels", "levels"),
+        _buffer_plot("meaning", *SEMANTIC_BUFFER),
+        _buffer_plot("regions", "regions"),
+        _buffer_plot("buffer", "samples", "inserted", "evicted"),
+        _buffer_plot("share", "share", "semantic_share", y=(0.0, 1.0)),
+        _buffer_plot("places", "keyframes", "places", "water_level"),
+        _buffer_plot("bytes", "size_bytes", "semantic_bytes"),
+        active_tab=0,
+    )
+
+
+def _buffer_plot(
+    name: str, *entities: str, y: tuple[float, float] | None = None
+) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(
+        origin="buffer",
+        contents=[f"/buffer/{entity}" for entity in entities],
+        name=name,
+        axis_y=rrb.ScalarAxis(range=y) if y else None,
+        plot_legend=rrb.Corner2D.LeftTop,
     )
 
 

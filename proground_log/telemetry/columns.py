@@ -26,11 +26,12 @@ class Moment:
     step: int
     sim_time_ns: int
 
-    def set_on(self, recording: rr.RecordingStream) -> None:
-        """Move the recording's clocks here."""
+    def log(self, recording: rr.RecordingStream, entity: str, what: rr.AsComponents) -> None:
+        """Log something at this point."""
         recording.set_time("frame", sequence=self.frame)
         recording.set_time("step", sequence=self.step)
         recording.set_time("sim_time", duration=np.timedelta64(self.sim_time_ns, "ns"))
+        recording.log(entity, what)
 
 
 class ScalarColumns:
@@ -42,12 +43,15 @@ class ScalarColumns:
 
     def __init__(self, recording: rr.RecordingStream) -> None:
         self._recording = recording
-        self._rows: defaultdict[str, list[tuple[Moment, float]]] = defaultdict(list)
+        self._rows: defaultdict[str, list[tuple[Moment, tuple[float, ...]]]] = defaultdict(list)
 
-    def add(self, entity: str, moment: Moment, value: float) -> None:
-        """Keep one value; send the entity's values once there are enough of them."""
+    def add(self, entity: str, moment: Moment, *values: float) -> None:
+        """Keep a row; send the entity's rows once there are enough of them.
+
+        An entity with several values, always the same number, is that many curves.
+        """
         rows = self._rows[entity]
-        rows.append((moment, value))
+        rows.append((moment, values))
         if len(rows) >= ROWS_PER_CHUNK:
             self._send(entity)
 
@@ -64,5 +68,7 @@ class ScalarColumns:
             rr.TimeColumn("step", sequence=[moment.step for moment, _ in rows]),
             rr.TimeColumn("sim_time", duration=sim_time_ns.astype("timedelta64[ns]")),
         ]
-        values = np.array([value for _, value in rows], dtype=np.float64)
-        self._recording.send_columns(entity, times, rr.Scalars.columns(scalars=values))
+        values = np.array([values for _, values in rows], dtype=np.float64)
+        columns = rr.Scalars.columns(scalars=values.reshape(-1))
+        lengths = np.full(len(rows), values.shape[1])
+        self._recording.send_columns(entity, times, columns.partition(lengths))

@@ -1,4 +1,7 @@
-"""Pictures as the recording keeps them: JPEG for colour, PNG in millimetres for depth."""
+"""Pictures as the recording keeps them: JPEG for colour, PNG in millimetres for depth.
+
+False colours and probabilities keep their exact values.
+"""
 
 from __future__ import annotations
 
@@ -27,6 +30,17 @@ def jpeg(rgb: np.ndarray) -> rr.EncodedImage:
     bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR)
     _, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     return rr.EncodedImage(contents=data.tobytes(), media_type="image/jpeg")
+
+
+def false_colors(rgb: np.ndarray) -> rr.EncodedImage:
+    """Colours with a meaning of their own, uint8 [H, W, 3] RGB, compressed without loss."""
+    return rr.EncodedImage(contents=_png(rgb[..., ::-1]), media_type="image/png")
+
+
+def probability(values: np.ndarray) -> rr.DepthImage:
+    """An image of values from 0 to 1, float32 [H, W], as a heat map."""
+    colormap = rr.components.Colormap.Inferno
+    return rr.DepthImage(values, meter=1.0, colormap=colormap, depth_range=(0.0, 1.0))
 
 
 def depth(depth_m: np.ndarray, far_m: float) -> rr.EncodedDepthImage:
@@ -62,11 +76,15 @@ def _millimetres(
     values_m: np.ndarray, far_m: float, colormap: rr.components.Colormap
 ) -> rr.EncodedDepthImage:
     mm = np.clip(np.rint(values_m * MM_PER_M), 0, np.iinfo(np.uint16).max).astype(np.uint16)
-    _, data = cv2.imencode(".png", mm, [cv2.IMWRITE_PNG_COMPRESSION, 1])
     return rr.EncodedDepthImage(
-        data.tobytes(),
+        _png(mm),
         media_type="image/png",
         meter=MM_PER_M,
         colormap=colormap,
         depth_range=(0.0, far_m * MM_PER_M),
     )
+
+
+def _png(image: np.ndarray) -> bytes:
+    _, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    return data.tobytes()

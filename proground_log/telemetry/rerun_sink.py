@@ -18,12 +18,17 @@ from proground_log.events import (
     RunFinished,
     StateDigested,
     StepDone,
+    TaskKnown,
     ViewRendered,
 )
 from proground_log.files import disk_errors
 from proground_log.telemetry import images
-from proground_log.telemetry.blueprint import APPLICATION_ID, replay_blueprint
+from proground_log.telemetry.blueprint import APPLICATION_ID, SEMANTIC_LOSSES, replay_blueprint
 from proground_log.telemetry.columns import Moment, ScalarColumns
+from proground_log.telemetry.documents import summary_document
+from proground_log.telemetry.palette import CURVE_COLORS, TOTAL_COLOR
+from proground_log.telemetry.semantics import SemanticDrawing
+from proground_log.telemetry.surface import surface
 from proground_log.telemetry.upright import VIEW_COORDINATES, up_axis
 
 CAMERA_IMAGE_WIDTH = 320
@@ -31,22 +36,11 @@ CAMERA_IMAGE_WIDTH = 320
 FRUSTUM_DEPTH_M = 0.3
 TRAJECTORY_COLOR = (90, 200, 250)
 HELD_OUT_COLOR = (255, 170, 60)
-TOTAL_COLOR = (255, 255, 255)
-TERM_COLORS = (
-    (86, 180, 233),
-    (230, 159, 0),
-    (0, 190, 135),
-    (240, 228, 66),
-    (213, 94, 0),
-    (204, 121, 167),
-    (110, 130, 255),
-)
-"""Okabe and Ito's palette, told apart by people with colour-blindness too, fit for black."""
 DIGEST_DIGITS = 16
 
 
 class TelemetrySink:
-    """Writes a rerun recording, its blueprint inside.
+    """Writes a segment of a rerun recording, its blueprint inside.
 
     The trajectory is one strip of two points for each frame, on one entity, and the blueprint
     shows all of them up to the cursor: the cost of a frame does not grow with the length of the
@@ -74,12 +68,33 @@ class TelemetrySink:
         self._last_position_m = last_position_m
         self._now = Moment(frame=0, step=max(0, steps_done - 1), sim_time_ns=0)
         self._camera: Camera | None = None
-        self._recording = open_recording(path, recording_id)
+        self._recording = open_recording(recording_id)
+        # Rerun's own file sink waits forever once a disk is full: the bytes are written here.
+        self._bytes = rr.binary_stream(self._recording)
+        with disk_errors(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = path.open("wb")
         self._scalars = ScalarColumns(self._recording)
         self._styled: set[str] = set()
+        self._has_blueprint = False
+        self._semantics: SemanticDrawing | None = None
 
     def on_event(self, event: Event) -> None:
-        """Draw one event."""
+        """Draw one event; the first one tells whether meaning is to be shown at all."""
+        if isinstance(event, TaskKnown):
+            self._semantics = SemanticDrawing(self._recording, self._scalars, event)
+        if not self._has_blueprint:
+            blueprint = replay_blueprint(with_semantics=self._semantics is not None)
+            self._recording.send_blueprint(blueprint)
+            self._has_blueprint = True
+        self._draw(event)
+        if self._semantics is not None:
+            self._semantics.on_event(event, self._now)
+        if isinstance(event, FrameDone):
+            self._write(flush=False)
+
+    def _draw(self, event: Event) -> None:
+        """Draw what is there with and without meaning."""
         match event:
             case FrameArrived():
                 self._on_frame_arrived(event)
@@ -101,13 +116,22 @@ class TelemetrySink:
     def flush(self) -> None:
         """Put all that was said so far on the disk: to be called before a checkpoint is taken."""
         self._scalars.send()
-        with disk_errors(self._path):
-            self._recording.flush()
+        self._write(flush=True)
 
     def close(self) -> None:
-        """Flush, and write the footer."""
-        self.flush()
-        self._recording.disconnect()
+        """Put all on the disk; the file is a segment, for `merge_segments` to make whole."""
+        try:
+            self.flush()
+        finally:
+            self._recording.disconnect()
+            with disk_errors(self._path):
+                self._file.close()
+
+    def _write(self, *, flush: bool) -> None:
+        with disk_errors(self._path):
+            self._file.write(self._bytes.read(flush=flush) or b"")
+            if flush:
+                self._file.flush()
 
     def _on_frame_arrived(self, event: FrameArrived) -> None:
         frame = event.frame
@@ -153,10 +177,10 @@ class TelemetrySink:
 
     def _style_loss(self, name: str) -> None:
         """Give a term its colour when it first comes; the viewer's own are hard to tell apart."""
-        if name in self._styled:
+        if name in self._styled or name in SEMANTIC_LOSSES:
             return
         terms = len(self._styled - {"total"})
-        color, width = TERM_COLORS[terms % len(TERM_COLORS)], 1.2
+        color, width = CURVE_COLORS[terms % len(CURVE_COLORS)], 1.2
         if name == "total":
             color, width = TOTAL_COLOR, 2.5
         self._styled.add(name)
@@ -193,37 +217,24 @@ class TelemetrySink:
         self._log("view/error/depth", depth_error)
 
     def _on_mesh(self, event: MeshExtracted) -> None:
-        mesh = rr.Mesh3D(
-            vertex_positions=event.vertices_m,
-            triangle_indices=event.faces,
-            vertex_normals=event.normals,
-            vertex_colors=event.colors,
-            # Seen from outside a room's walls and ceiling vanish, so that one looks in.
-            face_rendering=rr.components.MeshFaceRendering.Front,
-        )
-        self._log("world/map/color", mesh)
+        self._log("world/map/color", surface(event, event.colors))
 
     def _say(self, text: str, *, level: str = "INFO") -> None:
         self._log("log", rr.TextLog(text, level=level))
 
     def _log(self, entity: str, what: rr.AsComponents) -> None:
-        self._now.set_on(self._recording)
-        self._recording.log(entity, what)
+        self._now.log(self._recording, entity, what)
 
     def _log_static(self, entity: str, what: rr.AsComponents) -> None:
         self._recording.log(entity, what, static=True)
 
 
-def open_recording(path: Path, recording_id: str) -> rr.RecordingStream:
-    """A recording that goes to a file, with the blueprint in it and no wall clock."""
+def open_recording(recording_id: str) -> rr.RecordingStream:
+    """A recording without the wall clock."""
     # Properties would hold the time at which the recording began.
     recording = rr.RecordingStream(APPLICATION_ID, recording_id=recording_id, send_properties=False)
     recording.set_log_time_enabled(False)
     recording.set_log_tick_enabled(False)
-    with disk_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.touch()
-        recording.save(path, default_blueprint=replay_blueprint())
     return recording
 
 
@@ -238,25 +249,3 @@ def pinhole(camera: Camera) -> rr.Pinhole:
         image_plane_distance=FRUSTUM_DEPTH_M,
         color=TRAJECTORY_COLOR,
     )
-
-
-def summary_document(summary: dict[str, object]) -> rr.TextDocument:
-    """The summary as a markdown table; a nested record becomes a table of its own."""
-    plain = {name: value for name, value in summary.items() if not isinstance(value, dict)}
-    nested = {name: value for name, value in summary.items() if isinstance(value, dict)}
-    sections = ["# Summary\n" + _table(plain)]
-    sections += [f"## {name}\n" + _table(value) for name, value in nested.items()]
-    return rr.TextDocument("\n".join(sections), media_type=rr.MediaType.MARKDOWN)
-
-
-def _table(figures: dict[str, object]) -> str:
-    rows = (f"| {name.replace('_', ' ')} | {_cell(value)} |\n" for name, value in figures.items())
-    return "| figure | value |\n|---|---|\n" + "".join(rows)
-
-
-def _cell(value: object) -> str:
-    if isinstance(value, bool) or value is None:
-        return str(value)
-    if isinstance(value, int):
-        return f"{value:,}"
-    return f"{value:.4g}" if isinstance(value, float) else str(value).replace("|", "\\|")

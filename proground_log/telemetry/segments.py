@@ -29,7 +29,7 @@ def merge_segments(segments: Sequence[Path], output: Path) -> None:
     sources = [path for path in map(require_file, segments) if path.stat().st_size]
     if not sources:
         raise ProgroundError(
-            "no telemetry to merge", where=output, todo="replay again without resuming"
+            "no telemetry to merge", where=output, todo="replay again with --overwrite"
         )
     with written_whole(output) as temporary:
         command = [sys.executable, "-m", "rerun", "rrd", "merge", *map(str, sources)]
@@ -40,7 +40,8 @@ def merge_segments(segments: Sequence[Path], output: Path) -> None:
             raise ProgroundError(
                 f"the telemetry cannot be merged: {_last_line(result.stderr)}",
                 where=", ".join(map(str, sources)),
-                todo="replay again without resuming",
+                todo="see that the disk has room and go on with --resume, "
+                "or replay again with --overwrite",
             )
 
 

@@ -1,4 +1,4 @@
-"""Fields of the public ROS 2 messages, as their packages publish them."""
+"""Fields of the public ROS 2 messages, as their packages publish them, and of our own."""
 
 from __future__ import annotations
 
@@ -53,5 +53,17 @@ DEFINED_TYPES: dict[str, list[tuple[str, str]]] = {
         ("float64", "y"),
         ("float64", "z"),
         ("float64", "w"),
+    ],
+    "proground_msgs/Regions": [
+        _HEADER,
+        ("float32[]", "boxes"),
+        ("uint8[]", "levels"),
+        ("uint32", "prompts"),
+        ("float32[]", "relevance"),
+        ("uint8[]", "embeddings"),
+        ("bool[]", "is_box"),
+        ("uint32", "height"),
+        ("uint32", "width"),
+        ("uint8[]", "owner"),
     ],
 }

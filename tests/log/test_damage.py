@@ -82,6 +82,18 @@ def test_a_flipped_bit_is_noticed(
         assert everything(damaged) == content
 
 
+@pytest.mark.parametrize("bit", range(8 * 13))
+def test_a_flipped_bit_in_the_end_of_the_data_is_noticed(
+    bit: int, log: Path, tmp_path: Path
+) -> None:
+    data = bytearray(log.read_bytes())
+    at = data.rindex(b"\x0f\x04\0\0\0\0\0\0\0")
+    data[at + bit // 8] ^= 1 << bit % 8
+    damaged = tmp_path / "b.mcap"
+    damaged.write_bytes(data)
+    assert faults(damaged)
+
+
 @settings(
     max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )

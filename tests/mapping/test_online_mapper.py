@@ -55,9 +55,10 @@ def wall() -> OnlineMapper:
 
 
 def test_it_learns_the_wall(wall: OnlineMapper) -> None:
-    content = NeuralMap(wall.field, wall.observed)
+    content = NeuralMap(wall.averaged, wall.observed)
     frame = wall_frame(0, 0.25)
-    color, depth_m = content.render(CAMERA, frame.world_from_camera)
+    view = content.render(CAMERA, frame.world_from_camera)
+    color, depth_m = view.color, view.depth_m
     assert np.abs(depth_m - WALL_M).mean() < 0.02
     away_from_the_border = np.abs(CAMERA.directions[..., 0] * WALL_M + 0.25) > 0.15
     error = np.abs(color.astype(int) - frame.color)[away_from_the_border]
@@ -73,7 +74,7 @@ def test_sdf_is_the_signed_distance_in_truncations(wall: OnlineMapper) -> None:
 
 
 def test_the_mesh_is_the_wall_and_only_where_it_was_seen(wall: OnlineMapper) -> None:
-    mesh = extract_mesh(NeuralMap(wall.field, wall.observed), 0.05)
+    mesh = extract_mesh(NeuralMap(wall.averaged, wall.observed), 0.05)
     assert len(mesh.vertices_m) > 500
     assert np.abs(mesh.vertices_m[:, 2] - WALL_M).mean() < 0.02
     seen_to_m = np.abs(CAMERA.directions[..., 0]).max() * WALL_M + 0.5
@@ -165,14 +166,18 @@ def test_every_term_of_the_total_counts(wall: OnlineMapper) -> None:
 
 
 def test_a_saved_map_is_the_map(wall: OnlineMapper, tmp_path) -> None:  # type: ignore[no-untyped-def]
-    content = NeuralMap(wall.field, wall.observed)
+    content = NeuralMap(wall.averaged, wall.observed)
     save_map(tmp_path / "a.safetensors", content)
     save_map(tmp_path / "b.safetensors", content)
     assert (tmp_path / "a.safetensors").read_bytes() == (tmp_path / "b.safetensors").read_bytes()
     loaded = load_map(tmp_path / "a.safetensors")
     pose = wall_frame(0).world_from_camera
-    for ours, theirs in zip(content.render(CAMERA, pose), loaded.render(CAMERA, pose), strict=True):
-        np.testing.assert_array_equal(ours, theirs)
+    ours, theirs = content.render(CAMERA, pose), loaded.render(CAMERA, pose)
+    # The hash grid is kept in 255 steps a level.
+    assert np.abs(ours.color.astype(int) - theirs.color).mean() < 1
+    np.testing.assert_allclose(ours.depth_m, theirs.depth_m, atol=0.01)
+    save_map(tmp_path / "c.safetensors", loaded)
+    assert (tmp_path / "c.safetensors").read_bytes() == (tmp_path / "a.safetensors").read_bytes()
     parts = content.sizes_bytes()
     assert (tmp_path / "a.safetensors").stat().st_size == pytest.approx(
         sum(parts.values()), abs=3000

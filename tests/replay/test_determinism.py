@@ -25,6 +25,7 @@ from replay.diff import compare_runs
 from replay.ledger import read_ledger
 from replay.run_folder import RunFolder
 from replay.session import ReplayStoppedError, replay
+from tests.full_disk import largest_file
 
 SMALL = ReplayConfig(
     steps=3,
@@ -156,6 +157,23 @@ def test_killed_and_resumed_gives_the_same_ledger(
     assert ledger_bytes(run) == ledger_bytes(reference_run)
 
 
+@pytest.mark.parametrize("room_bytes", [20_000, 150_000, 400_000])
+def test_a_full_disk_is_named_and_the_run_goes_on_when_there_is_room(
+    room_log: Path, reference_run: Path, tmp_path: Path, room_bytes: int
+) -> None:
+    """The limits are met by the first telemetry, by the checkpoint and by later telemetry."""
+    run = tmp_path / "run"
+    with (
+        largest_file(room_bytes),
+        pytest.raises(ProgroundError, match=r"cannot write: .*elsewhere"),
+    ):
+        replay(room_log, run, SMALL)
+    finals = [RunFolder(run).ledger, RunFolder(run).map, RunFolder(run).telemetry]
+    assert not any(path.exists() for path in finals)
+    replay(room_log, run, ReplayConfig(), resume=True)
+    assert ledger_bytes(run) == ledger_bytes(reference_run)
+
+
 def test_another_seed_differs_from_the_first_step(
     room_log: Path, reference_run: Path, tmp_path: Path
 ) -> None:
@@ -220,7 +238,7 @@ def test_the_ledger_has_everything(reference_run: Path) -> None:
     states = [entry for entry in entries if entry["event"] == "state"]
     assert [entry["step"] for entry in states] == [4, 8, 12, 16, 20, 24, 28, 30]
     parts = {name.split("/")[0] for name in states[-1]["digests"]}
-    assert parts == {"field", "optimiser", "buffer", "observed", "mapped"}
+    assert parts == {"field", "averaged", "optimiser", "buffer", "observed", "mapped"}
 
 
 def test_selection_of_frames(room_log: Path, tmp_path: Path) -> None:

@@ -17,8 +17,13 @@ from proground_log.events import (
     KeyframeInserted,
     MeshExtracted,
     RunFinished,
+    SemanticScores,
+    SemanticStatistics,
+    SemanticView,
     StateDigested,
     StepDone,
+    SurfaceMeaning,
+    TaskKnown,
     ViewRendered,
 )
 from proground_log.frame import Frame
@@ -27,6 +32,11 @@ CAMERA = Camera(64, 48, 60.0, 60.0, 32.0, 24.0)
 STEPS_PER_FRAME = 3
 FRAME_NS = 100_000_001
 CAPACITY = 100
+TASK = TaskKnown(
+    "breakfast",
+    ("a red chair", "salt/pepper | mill", "mug"),
+    np.array([[230, 60, 50], [60, 200, 90], [70, 120, 250]], dtype=np.uint8),
+)
 
 
 def position_m(index: int) -> np.ndarray:
@@ -34,13 +44,57 @@ def position_m(index: int) -> np.ndarray:
     return np.array([np.cos(index / 5), np.sin(index / 5), 0.1 * index])
 
 
-def losses(step: int) -> dict[str, float]:
+def losses(step: int, task: TaskKnown | None = None) -> dict[str, float]:
     """The loss terms of a step: float32 values, as the mapper gives them."""
     rng = np.random.default_rng(step)
-    return {name: float(np.float32(rng.random())) for name in ("color", "depth", "sdf", "total")}
+    names = ["color", "depth", "sdf", "total"]
+    if task is not None:
+        # At first no region is known, as in a replay.
+        names[3:3] = ["semantic", "scale", "uncertainty"] if step else ["scale", "uncertainty"]
+    return {name: float(np.float32(rng.random())) for name in names}
 
 
-def mesh(index: int) -> MeshExtracted:
+def statistics(index: int, task: TaskKnown) -> SemanticStatistics:
+    """The memory of meaning, in which each label has its share."""
+    labels = {prompt: (number + 1) * index for number, prompt in enumerate(task.prompts)}
+    total = sum(labels.values())
+    return SemanticStatistics(
+        total, 1000, 7 * index, 3 + index, labels, [total, index, 2], 4 * total
+    )
+
+
+def scores(index: int) -> SemanticScores:
+    """Scores that rise; there is no background to judge by in odd frames."""
+    percent = 50.0 + 7.3 * index
+    background = float("nan") if index % 2 else percent / 3
+    return SemanticScores(index, percent, percent / 2, background, 100.0 - percent)
+
+
+def semantic_view(index: int, task: TaskKnown) -> SemanticView:
+    """Stripes of all labels and of background, shifted by a pixel between map and frame."""
+    rows, columns = np.mgrid[:24, :32]
+    stripes = (columns + index) // 4 % (len(task.prompts) + 1) - 1
+    return SemanticView(
+        labels=stripes.astype(np.int16),
+        observed_labels=np.roll(stripes, 1, axis=1).astype(np.int16),
+        features=np.stack([8 * columns, 10 * rows, 255 - 8 * columns], axis=2).astype(np.uint8),
+        levels=(rows // 6 % 4).astype(np.uint8),
+        uncertainty=((rows + columns) / 54).astype(np.float32),
+    )
+
+
+def meaning(vertices_m: np.ndarray, task: TaskKnown) -> SurfaceMeaning:
+    """Labels along one axis, relevance along another."""
+    rank = (vertices_m - vertices_m.min(axis=0)) / np.ptp(vertices_m, axis=0)
+    return SurfaceMeaning(
+        labels=np.floor(rank[:, 1] * (len(task.prompts) + 0.99) - 1).astype(np.int16),
+        features=np.rint(255 * rank).astype(np.uint8),
+        relevance=rank[:, 0].astype(np.float32),
+        prompt=task.prompts[1],
+    )
+
+
+def mesh(index: int, task: TaskKnown | None = None) -> MeshExtracted:
     """A sphere that grows with the frames."""
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.3 + 0.05 * index)
     vertices = np.asarray(ball.vertices, dtype=np.float32)
@@ -50,20 +104,28 @@ def mesh(index: int) -> MeshExtracted:
         faces=np.asarray(ball.faces, dtype=np.int32),
         normals=np.asarray(ball.vertex_normals, dtype=np.float32),
         colors=(255 * np.clip(vertices + 0.5, 0, 1)).astype(np.uint8),
+        meaning=meaning(vertices, task) if task is not None else None,
     )
 
 
-def view(index: int) -> ViewRendered:
+def view(index: int, task: TaskKnown | None = None) -> ViewRendered:
     """A view whose render is the blurred input."""
     rng = np.random.default_rng(index)
     color = cv2.resize(rng.integers(0, 256, (6, 8, 3), dtype=np.uint8), (32, 24))
     depth_m = cv2.resize(rng.uniform(1, 4, (6, 8)).astype(np.float32), (32, 24))
     depth_m[:4] = 0.0
     rendered_m = np.asarray(depth_m + np.float32(0.05), dtype=np.float32)
-    return ViewRendered(index, color, depth_m, cv2.GaussianBlur(color, (0, 0), 1.5), rendered_m)
+    return ViewRendered(
+        index,
+        color,
+        depth_m,
+        cv2.GaussianBlur(color, (0, 0), 1.5),
+        rendered_m,
+        semantic_view(index, task) if task is not None else None,
+    )
 
 
-def of_frame(index: int) -> Iterator[Event]:
+def of_frame(index: int, task: TaskKnown | None = None) -> Iterator[Event]:
     """All events of one frame."""
     held_out = index % 4 == 3
     begin_ns = index * FRAME_NS
@@ -81,22 +143,28 @@ def of_frame(index: int) -> Iterator[Event]:
     )
     yield FrameArrived(frame, begin_ns, f"{index:064x}", held_out)
     held = min(CAPACITY, 30 * (index + 1))
-    yield KeyframeInserted(index, 30, 30 * (index + 1) - held)
+    learnt = 11 if task is not None else 0
+    yield KeyframeInserted(index, 30, 30 * (index + 1) - held, learnt, learnt // 2)
     for iteration in range(STEPS_PER_FRAME):
         step = index * STEPS_PER_FRAME + iteration
         now_ns = begin_ns + 7_000_003 * (iteration + 1)
-        yield StepDone(index, step, iteration, now_ns, losses(step), "0" * 64, 8, 8)
-    yield view(index)
-    yield mesh(index)
+        yield StepDone(index, step, iteration, now_ns, losses(step, task), "0" * 64, 8, 8)
     buffer = BufferStatistics(held, CAPACITY, index + 1, 5 + index, 7, 40 * held)
-    yield FrameDone(index, STEPS_PER_FRAME, begin_ns + 50_000_000, buffer)
+    memory = statistics(index, task) if task is not None else None
+    yield FrameDone(index, STEPS_PER_FRAME, begin_ns + 50_000_000, buffer, memory)
+    if task is not None:
+        yield scores(index)
+    yield view(index, task)
+    yield mesh(index, task)
     yield StateDigested((index + 1) * STEPS_PER_FRAME, {"field/grid": f"{index:064x}"})
 
 
-def of_frames(indices: range) -> Iterator[Event]:
-    """All events of some frames."""
+def of_frames(indices: range, task: TaskKnown | None = None) -> Iterator[Event]:
+    """All events of some frames; with a task, which comes first, those of meaning too."""
+    if task is not None:
+        yield task
     for index in indices:
-        yield from of_frame(index)
+        yield from of_frame(index, task)
 
 
 FINISHED = RunFinished({"frames": 6, "psnr_db": 24.25, "stages": {"step_s": 1.5}})

@@ -13,6 +13,7 @@ from rerun.chunk import RrdReader
 from telemetry_cells import cells_of
 
 from proground_log.errors import ProgroundError
+from proground_log.events import TaskKnown
 from proground_log.telemetry.rerun_sink import TelemetrySink
 from proground_log.telemetry.segments import merge_segments
 
@@ -30,7 +31,9 @@ os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
-def record(path: Path, frames: range, *, finish: bool = False) -> Path:
+def record(
+    path: Path, frames: range, *, finish: bool = False, task: TaskKnown | None = None
+) -> Path:
     first = frames.start
     sink = TelemetrySink(
         path,
@@ -38,11 +41,19 @@ def record(path: Path, frames: range, *, finish: bool = False) -> Path:
         steps_done=first * stream.STEPS_PER_FRAME,
         last_position_m=stream.position_m(first - 1) if first else None,
     )
-    for event in stream.of_frames(frames):
+    for event in stream.of_frames(frames, task):
         sink.on_event(event)
     if finish:
         sink.on_event(stream.FINISHED)
     sink.close()
+    return path
+
+
+def whole(
+    path: Path, frames: range, *, finish: bool = False, task: TaskKnown | None = None
+) -> Path:
+    """One segment, made a recording."""
+    merge_segments([record(path, frames, finish=finish, task=task)], path)
     return path
 
 
@@ -52,20 +63,23 @@ def killed(tmp_path: Path) -> Path:
     here = Path(__file__).parent
     done = subprocess.run([sys.executable, "-c", KILLED, str(path)], cwd=here, check=False)
     assert done.returncode == -9
-    with pytest.warns(Warning, match="no footer"):
-        RrdReader(path)
+    with pytest.raises(RuntimeError):
+        RrdReader(path)  # It has no footer.
     return path
 
 
-def test_segments_make_the_recording_that_one_go_makes(tmp_path: Path) -> None:
-    whole = record(tmp_path / "whole.rrd", range(6), finish=True)
+@pytest.mark.parametrize("task", [None, stream.TASK], ids=["geometry", "meaning"])
+def test_segments_make_the_recording_that_one_go_makes(
+    tmp_path: Path, task: TaskKnown | None
+) -> None:
+    in_one_go = whole(tmp_path / "whole.rrd", range(6), finish=True, task=task)
     segments = [
-        record(tmp_path / "0.rrd", range(2)),
-        record(tmp_path / "1.rrd", range(2, 4)),
-        record(tmp_path / "2.rrd", range(4, 6), finish=True),
+        record(tmp_path / "0.rrd", range(2), task=task),
+        record(tmp_path / "1.rrd", range(2, 4), task=task),
+        record(tmp_path / "2.rrd", range(4, 6), finish=True, task=task),
     ]
     merge_segments(segments, tmp_path / "merged.rrd")
-    assert cells_of(tmp_path / "merged.rrd") == cells_of(whole)
+    assert cells_of(tmp_path / "merged.rrd") == cells_of(in_one_go)
 
 
 def test_a_killed_segment_merges(tmp_path: Path, killed: Path) -> None:
@@ -75,25 +89,25 @@ def test_a_killed_segment_merges(tmp_path: Path, killed: Path) -> None:
         merge_segments([killed, rest], killed)
         merged = cells_of(killed)
         assert RrdReader(killed).blueprints()
-    assert merged == cells_of(record(tmp_path / "whole.rrd", range(6), finish=True))
+    assert merged == cells_of(whole(tmp_path / "whole.rrd", range(6), finish=True))
 
 
 def test_a_segment_torn_in_a_message_keeps_what_precedes_it(tmp_path: Path, killed: Path) -> None:
     torn = tmp_path / "torn.rrd"
     torn.write_bytes(killed.read_bytes()[:-700])
-    rest = record(tmp_path / "rest.rrd", range(3, 6))
+    rest = whole(tmp_path / "rest.rrd", range(3, 6))
     merge_segments([torn, rest], tmp_path / "merged.rrd")
-    whole = cells_of(record(tmp_path / "whole.rrd", range(6)))
+    in_one_go = cells_of(whole(tmp_path / "whole.rrd", range(6)))
     merged = cells_of(tmp_path / "merged.rrd")
-    assert merged <= whole
+    assert merged <= in_one_go
     assert merged > cells_of(rest)
 
 
 def test_work_done_again_adds_equal_cells_only(tmp_path: Path) -> None:
     segments = [record(tmp_path / "0.rrd", range(4)), record(tmp_path / "1.rrd", range(2, 6))]
     merge_segments(segments, tmp_path / "merged.rrd")
-    whole = cells_of(record(tmp_path / "whole.rrd", range(6)))
-    assert set(cells_of(tmp_path / "merged.rrd")) == set(whole)
+    in_one_go = cells_of(whole(tmp_path / "whole.rrd", range(6)))
+    assert set(cells_of(tmp_path / "merged.rrd")) == set(in_one_go)
 
 
 def test_nothing_to_merge_is_an_error(tmp_path: Path) -> None:

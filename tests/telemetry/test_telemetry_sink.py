@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import cv2
@@ -11,21 +12,28 @@ import telemetry_stream as stream
 from rerun.chunk import RrdReader
 from telemetry_cells import Rows, rows_of, scalars
 
+from proground_log.events import Event, StepDone
 from proground_log.telemetry.images import color_error, fit_width
 from proground_log.telemetry.rerun_sink import TelemetrySink
+from proground_log.telemetry.segments import merge_segments
 
 FRAMES = range(6)
+
+
+def record(path: Path, events: Iterable[Event]) -> Path:
+    """A whole recording of these events."""
+    sink = TelemetrySink(path, recording_id="run", depth_far_m=4.0)
+    for event in events:
+        sink.on_event(event)
+    sink.close()
+    merge_segments([path], path)
+    return path
 
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("run") / "telemetry.rrd"
-    sink = TelemetrySink(path, recording_id="run", depth_far_m=4.0)
-    for event in stream.of_frames(FRAMES):
-        sink.on_event(event)
-    sink.on_event(stream.FINISHED)
-    sink.close()
-    return path
+    return record(path, [*stream.of_frames(FRAMES), stream.FINISHED])
 
 
 @pytest.fixture(scope="module")
@@ -44,12 +52,9 @@ def test_every_loss_of_every_step_is_there_bit_for_bit(rows: Rows) -> None:
 
 
 def test_more_steps_than_a_chunk_holds_arrive_whole(tmp_path: Path) -> None:
-    sink = TelemetrySink(tmp_path / "long.rrd", recording_id="run")
-    steps = [e for e in stream.of_frames(range(400)) if type(e).__name__ == "StepDone"]
-    for event in steps:
-        sink.on_event(event)
-    sink.close()
-    _, values = scalars(rows_of(tmp_path / "long.rrd"), "/loss/total")
+    steps = [e for e in stream.of_frames(range(400)) if isinstance(e, StepDone)]
+    long = record(tmp_path / "long.rrd", steps)
+    _, values = scalars(rows_of(long), "/loss/total")
     assert values.tolist() == [stream.losses(step)["total"] for step in range(len(steps))]
 
 

@@ -7,15 +7,20 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import rerun.blueprint as rrb
 import telemetry_stream as stream
 
 from proground_log.bounds import Bounds
 from proground_log.camera import Calibration
 from proground_log.errors import ProgroundError
+from proground_log.events import TaskKnown
 from proground_log.frame import SensorFrame
 from proground_log.log.recording import Recording
 from proground_log.log.writer import open_writer
+from proground_log.telemetry import rerun_sink
+from proground_log.telemetry.blueprint import replay_blueprint
 from proground_log.telemetry.rerun_sink import TelemetrySink
+from proground_log.telemetry.segments import merge_segments
 from proground_log.telemetry.viewer import screenshot, view
 
 VULKAN_DRIVERS = [*Path("/usr/share/vulkan/icd.d").glob("*.json")]
@@ -56,13 +61,19 @@ def assert_drawn(
         assert colourful > share, f"the view of the {name} is empty ({colourful:.4f})"
 
 
-@needs_vulkan
-def test_a_run_shows_what_matters_without_a_click(tmp_path: Path) -> None:
-    sink = TelemetrySink(tmp_path / "telemetry.rrd", recording_id="run")
-    for event in stream.of_frames(range(3)):
+def write_run(folder: Path, task: TaskKnown | None = None) -> None:
+    """A run's recording of three frames."""
+    sink = TelemetrySink(folder / "telemetry.rrd", recording_id="run")
+    for event in stream.of_frames(range(3), task):
         sink.on_event(event)
     sink.on_event(stream.FINISHED)
     sink.close()
+    merge_segments([folder / "telemetry.rrd"], folder / "telemetry.rrd")
+
+
+@needs_vulkan
+def test_a_run_shows_what_matters_without_a_click(tmp_path: Path) -> None:
+    write_run(tmp_path)
     picture = tmp_path / "viewer.png"
     assert screenshot([tmp_path], picture, (1000, 625)) == []
     assert_drawn(
@@ -78,6 +89,57 @@ def test_a_run_shows_what_matters_without_a_click(tmp_path: Path) -> None:
         },
     )
     assert_drawn(picture, {"losses": (0.02, 0.36, 0.75, 0.94)}, share=0.01)
+
+
+@needs_vulkan
+def test_a_run_with_a_task_shows_labels_and_scores_without_a_click(tmp_path: Path) -> None:
+    write_run(tmp_path, stream.TASK)
+    picture = tmp_path / "viewer.png"
+    assert screenshot([tmp_path], picture, (1280, 800)) == []
+    columns = {"input": (0.48, 0.61), "rendered": (0.66, 0.79), "error": (0.84, 0.97)}
+    rows = {"colour": (0.13, 0.28), "depth": (0.36, 0.49), "labels": (0.56, 0.69)}
+    cells = {
+        f"{column} {row}": (left, right, top, bottom)
+        for column, (left, right) in columns.items()
+        for row, (top, bottom) in rows.items()
+    }
+    assert_drawn(picture, {"map": (0.02, 0.45, 0.12, 0.68)} | cells)
+    plots = {
+        "losses": (0.02, 0.18, 0.76, 0.94),
+        "heads": (0.25, 0.39, 0.76, 0.94),
+        "labels": (0.56, 0.76, 0.76, 0.94),
+    }
+    assert_drawn(picture, plots, share=0.003)
+
+
+def click_second_tabs(part: rrb.Container | rrb.View) -> None:
+    """Show the second tab wherever a layout has tabs, the outermost left alone."""
+    for inner in getattr(part, "contents", ()):
+        if isinstance(inner, rrb.Tabs):
+            inner.active_tab = 1
+        click_second_tabs(inner)
+
+
+@needs_vulkan
+def test_the_tabs_of_meaning_are_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    layout = replay_blueprint(with_semantics=True)
+    click_second_tabs(layout.root_container)
+    monkeypatch.setattr(rerun_sink, "replay_blueprint", lambda **_: layout)
+    write_run(tmp_path, stream.TASK)
+    picture = tmp_path / "viewer.png"
+    assert screenshot([tmp_path], picture, (1280, 800)) == []
+    columns = (0.48, 0.61), (0.66, 0.79), (0.84, 0.97)
+    titles = (
+        ("input colour", "input labels", "rendered labels"),
+        ("embeddings", "scale", "uncertainty"),
+    )
+    cells = {
+        title: (*column, *rows)
+        for row, rows in zip(titles, ((0.17, 0.35), (0.48, 0.66)), strict=True)
+        for title, column in zip(row, columns, strict=True)
+    }
+    assert_drawn(picture, cells | {"map's labels": (0.02, 0.45, 0.12, 0.68)})
+    assert_drawn(picture, {"semantic loss": (0.02, 0.18, 0.76, 0.94)}, share=0.003)
 
 
 @needs_vulkan

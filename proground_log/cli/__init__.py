@@ -1,0 +1,64 @@
+"""The command line: parses, calls, prints. A file a group of commands.
+
+Everything heavy is imported in the command that needs it, so that `pglog --help` answers at once.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+
+import tyro
+
+from proground_log.cli import ablate, demo, logs, outward, perception, query, runs
+from proground_log.cli.common import FAILED, STOPPED
+from proground_log.errors import ProgroundError
+
+COMMANDS: dict[str, Callable[..., int]] = {
+    "record": logs.record_command,
+    "info": logs.info_command,
+    "check": logs.check_command,
+    "perceive": perception.perceive_command,
+    "replay": runs.replay_command,
+    "diff": runs.diff_command,
+    "evaluate": runs.evaluate_command,
+    "query": query.query_command,
+    "ablate": ablate.ablate_command,
+    "export": outward.export_command,
+    "view": outward.view_command,
+    "demo": demo.demo_command,
+}
+"""In the order of the help."""
+
+app = tyro.extras.SubcommandApp()
+for _name, _command in COMMANDS.items():
+    app.command(name=_name)(_command)
+_vocabulary = tyro.extras.SubcommandApp()
+_vocabulary.command(name="build")(perception.vocabulary_build_command)
+app.command(_vocabulary, name="vocabulary", help="Make files of text embeddings.")
+
+
+def main() -> None:
+    """Run a command; its result is the exit code."""
+    try:
+        code = app.cli(
+            prog="pglog",
+            description="Map RGB-D logs online, offline: record, replay, compare, look.",
+            config=(tyro.conf.FlagCreatePairsOff,),
+        )
+    except ProgroundError as error:
+        print(f"pglog: {error}", file=sys.stderr)
+        code = FAILED
+    except BrokenPipeError:
+        # Whoever reads the output (head, less) has seen enough; nothing more can be printed.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = FAILED
+    except OSError as error:
+        reason = f"{error.filename or 'pglog'}: {(error.strerror or str(error)).lower()}"
+        print(f"pglog: {reason}; check the path and its permissions", file=sys.stderr)
+        code = FAILED
+    except KeyboardInterrupt:
+        print("pglog: stopped", file=sys.stderr)
+        code = STOPPED
+    sys.exit(code)

@@ -1,0 +1,55 @@
+"""What the commands share: arguments, exit codes, tables and progress."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.table import Column, Table
+from tyro.conf import Positional
+
+SAME, DIFFERENT, FAILED, STOPPED = 0, 1, 2, 130
+"""Exit codes; STOPPED is what a shell expects after Ctrl-C."""
+
+# Names of files are printed as they are: "[room]" is no markup, ":cat:" no picture.
+out = Console(markup=False, emoji=False, highlight=False)
+err = Console(stderr=True)
+
+Log = Annotated[Path, Positional, tyro.conf.arg(metavar="LOG")]
+Run = Annotated[Path, Positional, tyro.conf.arg(metavar="RUN")]
+Output = Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="PATH")]
+AsJson = Annotated[bool, tyro.conf.arg(name="json")]
+MaybeInt = Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")]
+MaybeFloat = Annotated[float | None, tyro.conf.arg(metavar="FLOAT", help_behavior_hint="")]
+MaybePath = Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")]
+
+
+@contextmanager
+def shown_progress(what: str) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar; it appears when it is first told how many are done, and of how many."""
+    from replay.progress import progress_bar
+
+    bar = progress_bar(err)
+    task = bar.add_task(what, total=None, note="")
+
+    def move(done: int, total: int) -> None:
+        bar.start()
+        bar.update(task, completed=done, total=total)
+
+    try:
+        yield move
+    finally:
+        if bar.live.is_started:
+            bar.stop()
+
+
+def print_table(title: str, rows: dict[str, str]) -> None:
+    table = Table(Column(overflow="fold"), Column(overflow="fold"), show_header=False)
+    for name, value in rows.items():
+        table.add_row(name, value)
+    print(title)
+    out.print(table)

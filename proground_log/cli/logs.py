@@ -1,0 +1,152 @@
+"""Commands about logs: record, info, check."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.table import Column, Table
+from tyro.conf import Positional
+
+from proground_log.cli.common import (
+    DIFFERENT,
+    SAME,
+    AsJson,
+    Log,
+    MaybeFloat,
+    MaybeInt,
+    MaybePath,
+    Output,
+    out,
+    print_table,
+    shown_progress,
+)
+from proground_log.frame import Selection
+
+
+def record_command(
+    format: Annotated[str, Positional, tyro.conf.arg(metavar="FORMAT")],
+    source: Annotated[
+        Path | None, Positional, tyro.conf.arg(metavar="[SOURCE]", help_behavior_hint="")
+    ] = None,
+    *,
+    output: Output,
+    start: int = 0,
+    stop: MaybeInt = None,
+    stride: int = 1,
+    calibration: MaybePath = None,
+    max_time_difference_s: MaybeFloat = None,
+    seed: MaybeInt = None,
+    frames: MaybeInt = None,
+    noise: bool = False,
+    overwrite: bool = False,
+) -> int:
+    """Turn a data set into a log.
+
+    Args:
+        format: seven-scenes, tum, replica or synthetic (the built-in room).
+        source: the data set; synthetic has none.
+        output: the log to write (.mcap).
+        start: first frame.
+        stop: frame to stop before.
+        stride: take every so many-th frame.
+        calibration: JSON file that overrides the format's cameras.
+        max_time_difference_s: tum: most between a colour and a depth image.
+        seed: synthetic: varies the room.
+        frames: synthetic: frames on the camera's way.
+        noise: synthetic: noise of a real sensor.
+        overwrite: replace the output.
+    """
+    from recorders.calibration_file import read_calibration
+    from recorders.record import record
+    from recorders.registry import open_source
+
+    options: dict[str, object] = {
+        "calibration": read_calibration(calibration) if calibration else None,
+        "max_time_difference_s": max_time_difference_s,
+        "seed": seed,
+        "frames": frames,
+        "noise": noise or None,
+    }
+    given = {name: value for name, value in options.items() if value is not None}
+    opened = open_source(format, source, **given)
+    name = source.resolve().name if source else format
+    selection = Selection(start, stop, stride)
+    with shown_progress("record") as progress:
+        recording = record(opened, name, output, selection, overwrite=overwrite, progress=progress)
+    size_mb = output.stat().st_size / 1e6
+    print(f"{output}: {recording.frames} frames, {size_mb:.1f} MB")
+    for keyword, note in recording.notes.items():
+        print(f"  {keyword}: {note}")
+    return SAME
+
+
+def info_command(log: Log, *, as_json: AsJson = False) -> int:
+    """Say what is in a log.
+
+    Args:
+        log: the log (.mcap).
+        as_json: print JSON, for programs.
+    """
+    from proground_log.log.info import log_info
+
+    info = log_info(log)
+    if as_json:
+        print(json.dumps(dataclasses.asdict(info), indent=2))
+        return SAME
+    rate_hz = (info.frames - 1) / info.duration_s if info.duration_s else 0.0
+    depth_camera = f"{_camera_text(info.depth_camera)}, {100 * info.baseline_m:.1f} cm away"
+    ground_truth = [f"{len(info.labels)} labels"] * bool(info.labels) + ["mesh"] * info.has_mesh
+    rows = {
+        "source": f"{info.source} ({info.format})",
+        "size": f"{info.size_bytes / 1e6:.1f} MB",
+        "frames": f"{info.frames} in {info.duration_s:.2f} s ({rate_hz:.1f} Hz)",
+        "colour camera": _camera_text(info.color_camera),
+        "depth camera": "the same" if info.registered else depth_camera,
+        "bounds": f"{_corner(info.bounds_lower_m)} to {_corner(info.bounds_upper_m)} m",
+        "ground truth": ", ".join(ground_truth) or "none",
+        **info.notes,
+    }
+    if info.task is not None:
+        rows["task"] = f"{info.task.name}: {', '.join(info.task.prompts)}"
+        rows["regions"] = str(info.task.regions)
+    print_table(str(log), rows)
+    print_table("messages", {topic: str(count) for topic, count in info.messages.items()})
+    return SAME
+
+
+def _camera_text(camera: dict[str, object]) -> str:
+    size = f"{camera['width']}x{camera['height']}"
+    numbers = " ".join(f"{name} {camera[name]:.1f}" for name in ("fx", "fy", "cx", "cy"))
+    return f"{size}, {numbers}" + (", distorted" if camera["distortion"] else "")
+
+
+def _corner(corner_m: tuple[float, float, float]) -> str:
+    return "(" + ", ".join(f"{value:.1f}" for value in corner_m) + ")"
+
+
+def check_command(log: Log, *, as_json: AsJson = False) -> int:
+    """Look for faults in a log: checksums, time, poses, images, depth. Exit code 1 if there are.
+
+    Args:
+        log: the log (.mcap).
+        as_json: print JSON, for programs.
+    """
+    from proground_log.log.check import check_log
+
+    with shown_progress("check") as progress:
+        faults = check_log(log, progress)
+    if as_json:
+        print(json.dumps([dataclasses.asdict(fault) for fault in faults], indent=2))
+    elif faults:
+        print(f"{log}: {len(faults)} {'fault' if len(faults) == 1 else 'faults'}")
+        table = Table(*(Column(name, overflow="fold") for name in ("frame", "topic", "fault")))
+        for fault in faults:
+            table.add_row(fault.frame, fault.topic, fault.what)
+        out.print(table)
+    else:
+        print(f"{log}: no fault found")
+    return DIFFERENT if faults else SAME

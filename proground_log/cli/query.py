@@ -1,0 +1,136 @@
+"""The command that asks a map: query."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+from rich.table import Column, Table
+from tyro.conf import Positional
+
+from proground_log.cli.common import SAME, AsJson, MaybePath, Run, err, out
+from proground_log.errors import ProgroundError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from replay.query import Answer
+
+
+def query_command(
+    run: Run,
+    texts: Annotated[
+        tuple[str, ...], Positional, tyro.conf.arg(metavar="[TEXT ...]", help_behavior_hint="")
+    ] = (),
+    *,
+    image: MaybePath = None,
+    image_encoder: MaybePath = None,
+    vocabulary: MaybePath = None,
+    text_encoder: MaybePath = None,
+    top_k: int = 5,
+    voxel_m: float = 0.04,
+    as_json: AsJson = False,
+    rrd: MaybePath = None,
+    overwrite: bool = False,
+    log: MaybePath = None,
+) -> int:
+    """Say where things are: by a text ("red chair"), or by a picture of one.
+
+    Args:
+        run: folder of a finished run, of a log with regions.
+        texts: what to look for.
+        image: a picture of what to look for, with --image-encoder.
+        image_encoder: computes the picture's embedding (.onnx).
+        vocabulary: embeddings of texts that are none of the task's prompts (.npz).
+        text_encoder: computes the embeddings of such texts (.onnx).
+        top_k: most things to name for each text.
+        voxel_m: voxels of the surface that is asked.
+        as_json: print JSON, for programs.
+        rrd: a recording of the answers to write, for rerun (.rrd).
+        overwrite: replace that recording.
+        log: the run's log, where it has moved; for --image, and for what is up in --rrd.
+    """
+    from proground_log.files import require_free
+    from replay.evaluate import Texts
+    from replay.query import ImageQuery, draw_answers, query_run
+
+    if (image is None) != (image_encoder is None):
+        raise ProgroundError(
+            "--image and --image-encoder go together", where="query", todo="give both, or none"
+        )
+    if rrd is not None:
+        require_free(rrd, overwrite=overwrite)
+    with err.status("asking the map"):
+        mesh, answers = query_run(
+            run,
+            texts,
+            voxel_m,
+            top_k,
+            image=ImageQuery(image, image_encoder) if image and image_encoder else None,
+            texts=Texts(vocabulary, text_encoder),
+            log_path=log,
+        )
+        if rrd is not None:
+            draw_answers(rrd, run, mesh, answers, log)
+    if as_json:
+        print(json.dumps([_as_json(answer) for answer in answers], indent=2))
+        return SAME
+    _print(answers)
+    if rrd is not None:
+        print(f"look at it: pglog view {rrd}")
+    return SAME
+
+
+def _as_json(answer: Answer) -> dict[str, object]:
+    return {
+        "query": answer.query,
+        "measure": answer.measure.name,
+        "threshold": answer.measure.threshold,
+        "best_score": round(answer.best, 4),
+        "things": [
+            {
+                "position_m": _rounded(thing.position_m),
+                "lower_m": _rounded(thing.lower_m),
+                "upper_m": _rounded(thing.upper_m),
+                "extent_m": _rounded(thing.upper_m - thing.lower_m),
+                "score": round(thing.score, 4),
+                "vertices": len(thing),
+            }
+            for thing in answer.things
+        ],
+    }
+
+
+def _rounded(vector_m: np.ndarray) -> list[float]:
+    """To the millimetre; adding 0 makes 0 of -0."""
+    return [round(float(value), 3) + 0.0 for value in vector_m]
+
+
+def _print(answers: list[Answer]) -> None:
+    table = Table(
+        *(Column(name, overflow="fold") for name in ("query", "rank")),
+        *(Column(name, justify="right") for name in ("position m", "extent m", "score")),
+    )
+    for answer in answers:
+        for rank, thing in enumerate(answer.things, start=1):
+            position, extent = _triple(thing.position_m), _triple(thing.upper_m - thing.lower_m)
+            score = f"{answer.measure.name} {thing.score:.2f}"
+            table.add_row(answer.query, str(rank), position, extent, score)
+    if table.row_count:
+        out.print(table)
+    for answer in answers:
+        if not answer.things:
+            print(f"{answer.query}: nothing found; {_why_nothing(answer)}")
+
+
+def _triple(vector_m: np.ndarray) -> str:
+    return "  ".join(f"{value:.2f}" for value in _rounded(vector_m))
+
+
+def _why_nothing(answer: Answer) -> str:
+    measure = answer.measure
+    best = f"the best {measure.name} on the map is {answer.best:.2f}"
+    if answer.best < measure.threshold:
+        return f"{best}, and {measure.threshold:.2f} is needed"
+    return f"{best}, but on spots too small for a thing"

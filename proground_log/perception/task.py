@@ -1,0 +1,124 @@
+"""The task: what the robot should know about, in words (paper, T)."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import tomllib
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from proground_log.errors import ProgroundError
+from proground_log.files import require_file
+
+_COLOR = re.compile(r"#[0-9a-fA-F]{6}")
+_TODO = "see docs/tasks.md"
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """Where perception and mapper draw their lines."""
+
+    detection: float = 0.05
+    """Regions below this relevance do not go into a log."""
+    overlap: float = 0.7
+    """Boxes that overlap by more than this (intersection over union) are one region."""
+    relevance: float = 0.4
+    """lambda_tau (Eq. 3): the mapper learns semantics from regions above it."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """What to look for.
+
+    Args:
+        name: what people call it.
+        prompts: what matters, in words; not empty, none twice.
+        irrelevant: further prompts that matter to nobody; they show how prompts disturb each
+            other (paper, Table 3).
+        thresholds: see `Thresholds`.
+        colors: "#rrggbb" by prompt, for people; the others get colours of their own.
+    """
+
+    name: str
+    prompts: tuple[str, ...]
+    irrelevant: tuple[str, ...] = ()
+    thresholds: Thresholds = Thresholds()
+    colors: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def all_prompts(self) -> tuple[str, ...]:
+        """Prompts and irrelevant prompts, in the order of relevance, labels and texts."""
+        return self.prompts + self.irrelevant
+
+    @property
+    def sha256(self) -> str:
+        """Fingerprint of all that decides what is found and learnt, hexadecimal."""
+        content = {name: value for name, value in self.to_json().items() if name != "colors"}
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+    def to_json(self) -> dict[str, Any]:
+        """As JSON values."""
+        content = asdict(self)
+        return {**content, "prompts": list(self.prompts), "irrelevant": list(self.irrelevant)}
+
+    @classmethod
+    def from_json(cls, content: dict[str, Any], *, where: object) -> Task:
+        """Check a task's content; raises a ProgroundError that names what is wrong."""
+        unknown = sorted(set(content) - {"name", "prompts", "irrelevant", "thresholds", "colors"})
+        if unknown:
+            raise _error(f"has an unknown entry {unknown[0]!r}", where)
+        name = content.get("name")
+        if not isinstance(name, str) or not name.strip():
+            raise _error("has no name", where)
+        prompts = _prompts(content.get("prompts", []), "prompts", where)
+        irrelevant = _prompts(content.get("irrelevant", []), "irrelevant", where)
+        if not prompts:
+            raise _error("has no prompts", where)
+        seen: set[str] = set()
+        for prompt in prompts + irrelevant:
+            if prompt in seen:
+                raise _error(f"has the prompt {prompt!r} twice", where)
+            seen.add(prompt)
+        colors = content.get("colors", {})
+        for prompt, color in colors.items() if isinstance(colors, dict) else [("colors", colors)]:
+            if prompt not in seen:
+                raise _error(f"gives a colour to {prompt!r}, which is no prompt", where)
+            if not isinstance(color, str) or not _COLOR.fullmatch(color):
+                raise _error(f"gives {prompt!r} the colour {color!r}, not #rrggbb", where)
+        thresholds = content.get("thresholds", {})
+        return cls(name.strip(), prompts, irrelevant, _thresholds(thresholds, where), dict(colors))
+
+
+def read_task(path: Path) -> Task:
+    """Read a task from a TOML file; raises a ProgroundError that names what is wrong."""
+    try:
+        content = tomllib.loads(require_file(path).read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise _error(f"is no TOML ({error})", path) from error
+    return Task.from_json(content, where=path)
+
+
+def _prompts(value: object, entry: str, where: object) -> tuple[str, ...]:
+    if not isinstance(value, list) or not all(isinstance(prompt, str) for prompt in value):
+        raise _error(f"{entry} is no list of texts", where)
+    prompts = tuple(" ".join(prompt.split()).lower() for prompt in value)
+    if "" in prompts:
+        raise _error(f"has an empty text among its {entry}", where)
+    return prompts
+
+
+def _thresholds(value: object, where: object) -> Thresholds:
+    known = asdict(Thresholds())
+    if not isinstance(value, dict) or not set(value) <= set(known):
+        raise _error(f"thresholds are {', '.join(known)}, not {value!r}", where)
+    for name, number in value.items():
+        if isinstance(number, bool) or not isinstance(number, int | float) or not 0 <= number <= 1:
+            raise _error(f"the threshold {name} is {number!r}, not from 0 to 1", where)
+    return Thresholds(**{name: float(number) for name, number in value.items()})
+
+
+def _error(what: str, where: object) -> ProgroundError:
+    return ProgroundError(what, where=where, todo=_TODO)

@@ -1,0 +1,111 @@
+"""The rerun recording of a query: the map in the colours of each answer, with what was found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from proground_log.events import MeshExtracted
+from proground_log.files import written_whole
+from proground_log.telemetry.blueprint import BACKGROUND
+from proground_log.telemetry.rerun_sink import open_recording
+from proground_log.telemetry.surface import heat_colors, surface
+from proground_log.telemetry.upright import VIEW_COORDINATES, up_axis
+
+BOX_COLOR = (255, 90, 60)
+"""Apart from all of the heat's colours."""
+DIMMED = 0.7
+"""Brightness of what is cold."""
+
+
+@dataclass(frozen=True)
+class QueryDrawing:
+    """What is drawn of an answer.
+
+    Args:
+        query: what was looked for.
+        heat: float [V] in [0, 1], of the mesh's vertices; 0 is what the query leaves cold.
+        lower_m, upper_m: float [N, 3], boxes of what was found, world axes.
+        labels: N of them.
+    """
+
+    query: str
+    heat: np.ndarray
+    lower_m: np.ndarray
+    upper_m: np.ndarray
+    labels: list[str]
+
+
+def write_query_recording(
+    path: Path,
+    recording_id: str,
+    mesh: MeshExtracted,
+    drawings: Sequence[QueryDrawing],
+    *,
+    world_from_camera: np.ndarray | None,
+) -> None:
+    """Write an .rrd file that opens with a tab for each query.
+
+    Args:
+        path: the file, replaced if it is there.
+        recording_id: tells it from others in one viewer.
+        mesh: the map's surface.
+        drawings: one a query.
+        world_from_camera: a pose [4, 4] that says which way is up; z is where it is None.
+    """
+    recording = open_recording(recording_id)
+    # Rerun's own file sink waits forever once a disk is full: the bytes are written here.
+    stream = rr.binary_stream(recording)
+    recording.send_blueprint(_blueprint([drawing.query for drawing in drawings]))
+    axis = (2, 1) if world_from_camera is None else up_axis(world_from_camera)
+    recording.log("world", VIEW_COORDINATES[axis], static=True)
+    for number, drawing in enumerate(drawings):
+        colors = _glowing(mesh.colors, drawing.heat)
+        recording.log(f"world/map/relevance/{number}", surface(mesh, colors), static=True)
+        boxes = rr.Boxes3D(
+            centers=(drawing.lower_m + drawing.upper_m) / 2,
+            half_sizes=(drawing.upper_m - drawing.lower_m) / 2,
+            colors=BOX_COLOR,
+            labels=drawing.labels,
+            show_labels=True,
+            fill_mode=rr.components.FillMode.MajorWireframe,
+        )
+        recording.log(f"world/found/{number}", boxes, static=True)
+    content = stream.read(flush=True)
+    recording.disconnect()
+    with written_whole(path) as temporary:
+        temporary.write_bytes(content or b"")
+
+
+def _glowing(colors: np.ndarray, heat: np.ndarray) -> np.ndarray:
+    """Heat [V] as colours uint8 [V, 3] over a dim, grey map, so that one still knows the place.
+
+    The root lets another name for a thing show too, whose relevance is low.
+    """
+    share = np.sqrt(heat)[:, None]
+    gray = DIMMED * colors.mean(axis=1, keepdims=True)
+    return ((1 - share) * gray + share * heat_colors(heat)).round().astype(np.uint8)
+
+
+def _blueprint(queries: Sequence[str]) -> rrb.Blueprint:
+    views = [
+        rrb.Spatial3DView(
+            origin="world",
+            contents=[f"+ $origin/map/relevance/{number}", f"+ $origin/found/{number}"],
+            name=query,
+            background=rrb.Background(color=BACKGROUND),
+            line_grid=rrb.LineGrid3D(visible=False),
+        )
+        for number, query in enumerate(queries)
+    ]
+    return rrb.Blueprint(
+        rrb.Tabs(*views, active_tab=0),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed"),
+    )

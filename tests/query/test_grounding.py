@@ -1,0 +1,140 @@
+"""Logits are those of the heads, weighed; a query claims only what nothing else fits better."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy.special import expit
+
+from proground_log.perception.heads import TextHeads
+from proground_log.query import grounding
+from proground_log.query.grounding import (
+    background_probability,
+    relevance_to,
+    vertex_logits,
+    z_scores,
+)
+from proground_log.streams import stream
+
+
+def heads() -> TextHeads:
+    draw = stream(1, "heads")
+    return TextHeads(
+        scale=draw.uniform(0.5, 2, (3, 512)).astype(np.float32),
+        shift=draw.normal(size=(3, 512)).astype(np.float32),
+        logit_scale=np.array([-0.5, 0.2, 0.9], np.float32),
+        bias=np.array([-3, 0.5, 2], np.float32),
+    )
+
+
+def vertices(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Embeddings and scale logits."""
+    draw = stream(2, "vertices", count)
+    embeddings = draw.normal(size=(count, 512)).astype(np.float32)
+    return embeddings, draw.normal(scale=3, size=(count, 4)).astype(np.float32)
+
+
+def unit_texts(count: int) -> np.ndarray:
+    texts = stream(3, "texts", count).normal(size=(count, 512))
+    return (texts / np.linalg.norm(texts, axis=1, keepdims=True)).astype(np.float32)
+
+
+@pytest.mark.parametrize("count", [0, 1, grounding._BLOCK, 2 * grounding._BLOCK + 7])
+def test_logits_are_the_weighted_sum_of_what_each_head_says(count: int) -> None:
+    embeddings, scale_logits = vertices(count)
+    texts = unit_texts(5)
+    probability = np.exp(scale_logits.astype(np.float64))[:, :3]
+    probability /= probability.sum(axis=1, keepdims=True)
+    expected = sum(
+        probability[:, [level]] * heads().logits(embeddings, level, texts) for level in range(3)
+    )
+    logits = vertex_logits(embeddings, scale_logits, heads(), texts)
+    assert logits.dtype == np.float32
+    np.testing.assert_allclose(logits, expected, atol=1e-3)
+
+
+def test_a_sure_level_is_read_by_its_own_head_whatever_the_background() -> None:
+    embeddings, _ = vertices(20)
+    texts = unit_texts(4)
+    for level in range(3):
+        scale_logits = np.full((20, 4), -50, np.float32)
+        scale_logits[:, level] = 50
+        scale_logits[:, 3] = np.linspace(-100, 100, 20)
+        logits = vertex_logits(embeddings, scale_logits, heads(), texts)
+        np.testing.assert_allclose(logits, heads().logits(embeddings, level, texts), atol=1e-3)
+
+
+def test_logits_do_not_depend_on_the_number_of_threads() -> None:
+    program = (
+        "import sys; from tests.query.test_grounding import *\n"
+        "print(hashlib.sha256(vertex_logits(*vertices(3000), heads(), unit_texts(70))).hexdigest())"
+    )
+    digests = {
+        subprocess.run(
+            [sys.executable, "-c", program],
+            env={**os.environ, "OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for threads in ("1", "2", "5")
+    }
+    here = vertex_logits(*vertices(3000), heads(), unit_texts(70))
+    assert digests == {hashlib.sha256(here).hexdigest() + "\n"}
+
+
+def test_background_is_the_fourth_of_all_four() -> None:
+    _, scale_logits = vertices(50)
+    exponentials = np.exp(scale_logits.astype(np.float64))
+    expected = exponentials[:, 3] / exponentials.sum(axis=1)
+    np.testing.assert_allclose(background_probability(scale_logits), expected, rtol=1e-5)
+
+
+def test_a_query_claims_what_it_fits_best_or_almost_and_no_background() -> None:
+    logits = np.array(
+        [
+            [1.0, -4.0, -3.0],  # the query wins
+            [1.0, 2.5, -3.0],  # it almost does
+            [1.0, 3.5, -3.0],  # a rival fits much better
+            [1.0, -4.0, -3.0],  # it wins, over background
+        ],
+        np.float32,
+    )
+    background = np.array([0.1, 0.4, 0.1, 0.9])
+    found = relevance_to(0, logits, background, margin=2.0)
+    np.testing.assert_allclose(found, [expit(1.0), expit(1.0), 0, 0], rtol=1e-6)
+    # A query that is a prompt of the task as well does not stand in its own way.
+    twice = np.concatenate([logits, logits[:, [0]]], axis=1)
+    np.testing.assert_array_equal(relevance_to(0, twice, background, margin=2.0), found)
+
+
+def test_with_no_margin_each_vertex_goes_to_its_best_text() -> None:
+    draw = stream(4, "logits")
+    logits = draw.normal(size=(200, 6)).astype(np.float32)
+    claims = np.stack([relevance_to(q, logits, np.zeros(200), margin=0.0) for q in range(6)])
+    np.testing.assert_array_equal(claims.argmax(axis=0), logits.argmax(axis=1))
+    assert ((claims > 0).sum(axis=0) == 1).all()
+
+
+def test_z_scores_undo_the_shift_and_stretch_of_each_vertex() -> None:
+    draw = stream(5, "bank")
+    bank = draw.normal(size=(60, 40))
+    query = draw.normal(size=60)
+    query[:10] += 20  # where the thing is
+    shift, stretch = draw.normal(scale=50, size=(60, 1)), draw.uniform(0.1, 9, (60, 1))
+    plain = z_scores(query, bank)
+    np.testing.assert_allclose(
+        z_scores((query[:, None] * stretch + shift)[:, 0], bank * stretch + shift),
+        plain,
+        rtol=1e-4,
+    )
+    assert plain[:10].min() > 10 > 5 > np.abs(plain[10:]).max()
+
+
+def test_a_bank_that_tells_nothing_gives_no_score() -> None:
+    np.testing.assert_array_equal(z_scores(np.array([5.0, -5.0]), np.ones((2, 3))), [0, 0])
