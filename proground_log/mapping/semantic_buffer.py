@@ -11,6 +11,8 @@ from proground_log.regions import EMBEDDING_WIDTH, LEVELS, Regions
 
 EVICTION_SHARE = 0.9
 """Part of the capacity that an eviction leaves, so that not every keyframe needs one."""
+MOST_REGIONS = 20_000
+"""Regions remembered; their embeddings take 20 MB."""
 
 
 @dataclass(frozen=True)
@@ -148,9 +150,22 @@ class SemanticBuffer:
             groups = self.table.groups[self._rays.regions]
             kept = below_water_level(groups, self._ranks, round(EVICTION_SHARE * self._capacity))
             self._rays, self._ranks = self._rays.take(kept), self._ranks[kept]
+        self._make_room_for_regions()
         self._forget_unused_regions()
         self._arrange()
         return before - len(self)
+
+    def _make_room_for_regions(self) -> None:
+        """Give up regions, those of crowded pairs first, when there are too many of them."""
+        present = np.unique(self._rays.regions)
+        if len(present) <= MOST_REGIONS:
+            return
+        lowest = np.full(len(self.table), np.iinfo(np.uint32).max, np.uint32)
+        np.minimum.at(lowest, self._rays.regions, self._ranks)
+        most = round(EVICTION_SHARE * MOST_REGIONS)
+        kept = present[below_water_level(self.table.groups[present], lowest[present], most)]
+        rows = np.flatnonzero(np.isin(self._rays.regions, kept))
+        self._rays, self._ranks = self._rays.take(rows), self._ranks[rows]
 
     def _forget_unused_regions(self) -> None:
         used = np.unique(self._rays.regions)

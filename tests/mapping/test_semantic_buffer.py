@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from proground_log.mapping import semantic_buffer
 from proground_log.mapping.semantic_buffer import RegionTable, SemanticBuffer, SemanticRays
 from proground_log.regions import EMBEDDING_WIDTH, Regions
 from proground_log.streams import stream
@@ -265,3 +266,25 @@ def test_a_table_takes_the_best_prompt_of_each_region() -> None:
     assert table.levels.tolist() == [2, 1]
     dtypes = [array.dtype for array in vars(table).values()]
     assert dtypes == [array.dtype for array in vars(RegionTable.empty()).values()]
+
+
+def test_regions_are_bounded_and_rare_ones_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(semantic_buffer, "MOST_REGIONS", 40)
+    buffer = SemanticBuffer(10_000, 0.5)
+    for keyframe in range(60):
+        # Five regions of a crowd in every keyframe; a rare thing in the third one alone.
+        labels = np.array([0] * 5 + [1] * (keyframe == 2), np.int32)
+        count = len(labels)
+        table = RegionTable(
+            np.full((count, 512), keyframe, np.float16),
+            np.full(count, 0.8, np.float32),
+            np.zeros(count, np.uint8),
+            labels,
+        )
+        regions = np.repeat(np.arange(count, dtype=np.int32), 3)
+        vectors = np.ones((len(regions), 3), np.float32)
+        rays = SemanticRays(vectors, vectors, np.ones(len(regions), np.float32), regions)
+        buffer.insert(rays, table, stream(0, "buffer", keyframe))
+        assert len(buffer.table) <= 40
+    assert (buffer.table.labels == 1).sum() == 1
+    assert len(np.unique(buffer.table.embeddings[:, 0])) > 20
