@@ -1,4 +1,4 @@
-"""The benchmark: python -m benchmarks [step] [log] [kitchen] [house] [memory].
+"""The benchmark: python -m benchmarks, or with the names of some of the sections below.
 
 Compares side by side in one run and prints ratios, since machines are shared and noisy. Writes
 bench.json. What needs the real recordings beside the repository is left out where they are not.
@@ -15,11 +15,13 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks import log, mapping, step
+from benchmarks import log, mapping, semantics, step
 from benchmarks.rows import Row
 
 SECTIONS = {
     "step": step.measure,
+    "semantics": semantics.measure_step,
+    "perception": semantics.measure_perception,
     "log": log.measure,
     "kitchen": mapping.measure_kitchen,
     "house": mapping.measure_house,

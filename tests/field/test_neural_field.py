@@ -90,5 +90,5 @@ def test_rows_of_the_hash_grid_grow_with_the_volume_within_limits() -> None:
     assert rows(1, 1, 1) == 16
     assert rows(10, 5, 3) == 16
     assert rows(20, 10, 3) == 18
-    assert rows(100, 100, 10) == 19
+    assert rows(100, 100, 10) == 18
     assert NeuralField(FieldConfig(levels=4), FLAT, 0).layout.log2_rows == 16

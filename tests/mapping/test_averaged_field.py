@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -127,9 +128,14 @@ def test_the_map_of_a_replay_is_the_averaged_field_with_its_heads(tmp_path: Path
             mapper.step()
     averaged, newest = dict(mapper.averaged.named_parameters()), mapper.field.table
     for name, parameter in saved.field.named_parameters():
-        expected = averaged[name].half().float() if name == "table" else averaged[name]
-        assert torch.equal(parameter, expected)
-    assert not torch.allclose(saved.field.table, newest, atol=1e-3)
+        if name != "table":
+            assert torch.equal(parameter, averaged[name])
+    # The hash grid is kept in 127 steps to either side of 0, level by level.
+    for start, stop in pairwise(mapper.averaged.layout.offsets):
+        exact = averaged["table"][start:stop]
+        error = (saved.field.table[start:stop] - exact).abs().max()
+        assert error <= 0.51 * exact.abs().max() / 127
+    assert not torch.allclose(saved.field.table, newest, atol=1e-2)
     assert saved.semantics is not None
     assert mapper.semantics is not None
     heads = dict(mapper.semantics.heads.named_parameters())
