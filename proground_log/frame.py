@@ -13,6 +13,8 @@ from proground_log.encoded_image import is_whole
 from proground_log.errors import ProgroundError
 from proground_log.regions import Regions
 
+NO_REGION = -1
+"""In place of a region: perception found nothing at the pixel."""
 AT_EDGE = -2
 """In place of a region: beside a depth jump, where nobody knows which side a pixel is of."""
 
@@ -79,8 +81,8 @@ class Frame:
         color_valid: bool [H, W], where the colour camera saw the pixel.
         labels: uint16 [H, W], 0 = none; None where the log has no ground truth.
         regions: what perception found; None where the log has no regions.
-        region_of: int32 [H, W], number of the region that the pixel belongs to, -1 for none,
-            `AT_EDGE` at depth jumps; None where the log has no regions.
+        region_of: int32 [H, W], number of the region that the pixel belongs to, or
+            `NO_REGION`, or `AT_EDGE` at depth jumps; None where the log has no regions.
     """
 
     index: int

@@ -107,7 +107,7 @@ class _Meaning:
 
     def of_surface(self, semantics: Semantics) -> SurfaceMeaning:
         labels, logits = self._labels(semantics)
-        background = background_probability(semantics.scale_logits)
+        background = background_probability(semantics.scale_logits, semantics.uncertainty)
         return SurfaceMeaning(
             labels=labels,
             features=self._colors(semantics),
@@ -121,8 +121,10 @@ class _Meaning:
         logits = vertex_logits(
             semantics.embeddings, semantics.scale_logits, perception.heads, perception.texts
         )
-        background = background_probability(semantics.scale_logits) >= BACKGROUND
-        return np.where(background, -1, logits.argmax(axis=1)).astype(np.int16), logits
+        background = background_probability(semantics.scale_logits, semantics.uncertainty)
+        return np.where(background >= BACKGROUND, -1, logits.argmax(axis=1)).astype(
+            np.int16
+        ), logits
 
 
 def _observed_labels(frame: Frame) -> np.ndarray:

@@ -268,7 +268,7 @@ def _ask(
         logits.append(
             vertex_logits(semantics.embeddings, scale_logits, description.heads, embeddings)
         )
-        background.append(background_probability(scale_logits))
+        background.append(background_probability(scale_logits, semantics.uncertainty))
     return np.concatenate(logits), np.concatenate(background)
 
 

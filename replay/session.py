@@ -277,11 +277,6 @@ class Session:
         )
         last = self._arrived == len(chosen)
         if self._telemetry is not None and (last or not held_out):
-            if semantics is not None:
-                with self._timed("views"):
-                    scores = semantics.scores(frame.index)
-                if scores is not None:
-                    self._emit(scores)
             self._show(frame, last=last)
 
     def _map(self, frame: Frame, sim_time_ns: int) -> int:
@@ -321,6 +316,11 @@ class Session:
             with self._timed("views"):
                 view = self._pictures.view(self._map_so_far(), frame)
             self._emit(view)
+            if self._mapper.semantics is not None:
+                with self._timed("views"):
+                    scores = self._mapper.semantics.scores(frame.index)
+                if scores is not None:
+                    self._emit(scores)
         if last or number % telemetry.mesh_every == telemetry.mesh_every - 1:
             with self._timed("views"):
                 mesh = self._pictures.mesh(self._map_so_far(), frame.index)

@@ -14,7 +14,7 @@ from proground_log.field.neural_field import NeuralField
 from proground_log.field.rendering import before_surface, sdf_weights
 from proground_log.field.sampling import sample_depths
 from proground_log.field.semantic_heads import NO_SUPERVISION, PointFeatures, SemanticHeads
-from proground_log.frame import AT_EDGE, Frame
+from proground_log.frame import NO_REGION, Frame
 from proground_log.mapping.config import LossWeights, MapperConfig
 from proground_log.mapping.optimiser import ADAM_BETAS, restore_training, training_state, under
 from proground_log.mapping.replay_buffer import RaySamples, ReplayBuffer, ray_samples
@@ -108,7 +108,8 @@ class SemanticLearner:
             self._rays = SemanticRays(
                 rays.origins_m, rays.directions, rays.depth_m, owner_of[chosen].astype(np.int32)
             )
-        candidates = pixels[~is_region & (owner != AT_EDGE)]
+        # A thing that is hardly recognised is no background either: it teaches nothing.
+        candidates = pixels[owner == NO_REGION]
         if len(candidates):
             count = min(self._settings.keyframe_rays, len(candidates))
             chosen = np.sort(random.choice(candidates, size=count, replace=False))

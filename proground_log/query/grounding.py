@@ -55,9 +55,17 @@ def vertex_logits(
     return logits
 
 
-def background_probability(scale_logits: np.ndarray) -> np.ndarray:
-    """Probability [V] that nothing was learnt at a vertex, from its scale logits [V, 4]."""
-    return softmax(scale_logits, axis=1)[:, LEVELS]
+def background_probability(scale_logits: np.ndarray, uncertainty: np.ndarray) -> np.ndarray:
+    """Probability [V] that nothing was learnt at a vertex: what two heads think, averaged.
+
+    The scale head tells it by what a surface looks like, the uncertainty head by where it is:
+    each errs where the other does not.
+
+    Args:
+        scale_logits: [V, 4]; the fourth is "no supervision".
+        uncertainty: [V] in [0, 1].
+    """
+    return 0.5 * (softmax(scale_logits, axis=1)[:, LEVELS] + uncertainty)
 
 
 def relevance_to(

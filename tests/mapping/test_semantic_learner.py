@@ -207,7 +207,8 @@ def test_pictures_show_what_was_learnt_beside_what_was_seen(content: NeuralMap) 
     scale = content.semantics.decode(rendered.features).scale_logits.reshape(30, 40, 4)
     np.testing.assert_array_equal(meaning.levels, np.where(hit, scale.argmax(axis=2), 3))
     odds = np.exp(scale.astype(np.float64))
-    background = odds[..., 3] > odds[..., :3].sum(axis=2)
+    uncertainty = content.semantics.decode(rendered.features).uncertainty.reshape(30, 40)
+    background = odds[..., 3] / odds.sum(axis=2) + uncertainty >= 1
     np.testing.assert_array_equal(meaning.labels == -1, background | ~hit)
     both = sure & (meaning.labels >= 0) & (meaning.observed_labels >= 0)
     assert both.sum() > 200
@@ -327,7 +328,7 @@ def test_every_term_of_the_total_counts() -> None:
 
 
 @pytest.mark.parametrize("filter_regions", [True, False])
-def test_only_regions_above_the_threshold_teach_and_the_others_are_background(
+def test_only_regions_above_the_threshold_teach_and_what_is_none_is_background(
     filter_regions: bool,
 ) -> None:
     semantics = replace(CONFIG.semantics, filter_regions=filter_regions, keyframe_rays=10_000)
@@ -339,10 +340,10 @@ def test_only_regions_above_the_threshold_teach_and_the_others_are_background(
     teach = (owner >= 0) & (owner < (2 if filter_regions else 4))
     state = semantic_state(mapper)
     np.testing.assert_array_equal(pixels_of(state, "buffer"), np.flatnonzero(teach))
-    background = ~teach & (owner != -2)
+    background = owner == -1
     np.testing.assert_array_equal(pixels_of(state, "background"), np.flatnonzero(background))
     assert inserted is not None
-    assert inserted.semantic_inserted == (owner != -2).sum()
+    assert inserted.semantic_inserted == teach.sum() + background.sum()
     # Each ray with its own region.
     of = state["buffer/regions"]
     columns = np.floor(state["buffer/directions"][:, 0] * CAMERA.fx + CAMERA.cx).astype(int) // 10
