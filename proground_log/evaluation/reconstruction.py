@@ -40,7 +40,7 @@ class ViewScore:
 
 def score_view(content: NeuralMap, frame: Frame) -> ViewScore:
     """Render the frame's view at full size, without its depth, and compare."""
-    view = content.render(frame.camera, frame.world_from_camera)
+    view = content.render(frame.camera, frame.world_from_camera, antialias=True)
     measured = frame.depth_m > 0
     judged = measured & frame.color_valid
     error = (view.color.astype(np.float64) - frame.color)[judged] / 255

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from proground_log.camera import Camera
 from proground_log.field.config import SemanticSpace
@@ -24,6 +24,9 @@ MOST_STEPS = 200
 SURFACE_SAMPLES = 16
 """Samples on each ray around the surface that the march found."""
 RAYS_AT_ONCE = 4096
+COLOR_EDGE, DEPTH_EDGE = 0.08, 0.03
+"""Neighbours that differ by more, in colour or as a share of depth, have an edge between them."""
+QUARTERS = (-0.25, 0.25)
 
 
 class EmptySpace:
@@ -79,6 +82,7 @@ def render_view(
     *,
     near_m: float,
     space: SemanticSpace | None = None,
+    antialias: bool = False,
 ) -> RenderedView:
     """Render colour, depth and semantic features as the camera would see the map.
 
@@ -94,6 +98,7 @@ def render_view(
         world_from_camera: pose, float64 [4, 4].
         near_m: where the rays begin, in metres along z.
         space: what semantics are decoded from; None renders no features.
+        antialias: colour the pixels at edges as the mean of four rays; depth stays that of one.
     """
     device = field.table.device
     rotation = world_from_camera[:3, :3].astype(np.float32)
@@ -104,12 +109,52 @@ def render_view(
         for part in directions.split(RAYS_AT_ONCE)
     ]
     colors, depths_m, features = zip(*parts, strict=True)
-    image = (torch.cat(colors) * 255).round().to(torch.uint8)
+    color, depth_m = torch.cat(colors), torch.cat(depths_m)
+    if antialias:
+        rough = _at_edges(color.reshape(camera.height, camera.width, 3), depth_m)
+        color[rough] = _mean_of_four(
+            field, empty, origin_m, directions[rough], camera, rotation, near_m
+        )
+    image = (color * 255).round().to(torch.uint8)
     return RenderedView(
         image.reshape(camera.height, camera.width, 3).cpu().numpy(),
-        torch.cat(depths_m).reshape(camera.height, camera.width).cpu().numpy(),
+        depth_m.reshape(camera.height, camera.width).cpu().numpy(),
         PointFeatures.concatenate(features) if space is not None else None,
     )
+
+
+def _at_edges(color: Tensor, depth_m: Tensor) -> Tensor:
+    """Flat numbers of pixels that differ from a neighbour in colour [H, W, 3] or depth [H * W]."""
+    planes = torch.cat(
+        [color / COLOR_EDGE, depth_m.reshape(*color.shape[:2], 1).log1p() / DEPTH_EDGE], 2
+    )
+    planes = planes.permute(2, 0, 1)[:, None]
+    most = nn.functional.max_pool2d(planes, 3, 1, 1)
+    least = -nn.functional.max_pool2d(-planes, 3, 1, 1)
+    return ((most - least).amax(dim=(0, 1)) > 1).reshape(-1).nonzero()[:, 0]
+
+
+def _mean_of_four(
+    field: NeuralField,
+    empty: EmptySpace,
+    origin_m: Tensor,
+    directions: Tensor,
+    camera: Camera,
+    rotation: np.ndarray,
+    near_m: float,
+) -> Tensor:
+    """Mean colour [R, 3] of four rays, a quarter of a pixel around each of the rays given."""
+    steps = np.array([[x / camera.fx, y / camera.fy, 0] for x in QUARTERS for y in QUARTERS])
+    around = torch.from_numpy((steps @ rotation.T).astype(np.float32)).to(directions.device)
+    total, hits = torch.zeros_like(directions), torch.zeros_like(directions[:, :1])
+    for offset in around:
+        parts = [
+            _render_rays(field, empty, origin_m, part, near_m, None)[:2]
+            for part in (directions + offset).split(RAYS_AT_ONCE)
+        ]
+        total += torch.cat([colors for colors, _ in parts])
+        hits += (torch.cat([depth_m for _, depth_m in parts]) > 0)[:, None]
+    return total / hits.clamp_min(1)
 
 
 def _render_rays(

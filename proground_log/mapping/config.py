@@ -15,13 +15,13 @@ class SamplingConfig:
     """Rays of a step, current frame and replay buffer together."""
     current_share: float = 0.25
     """Share of them that look at the newest frame."""
-    uniform: int = 32
+    uniform: int = 28
     """Samples spread evenly over a ray."""
-    near_surface: int = 11
+    near_surface: int = 15
     """Samples spread over the surface's range."""
     near_m: float = 0.05
     """Where a ray begins to be sampled."""
-    range_m: float = 0.1
+    range_m: float = 0.05
     """The surface's range is the measured depth, give or take this."""
 
 
@@ -92,7 +92,7 @@ class MapperConfig:
     """Weight of a replayed ray against one of the current frame (paper, Eq. 2)."""
     learning_rate: float = 1e-2
     """Adam's, for table and decoders."""
-    average_share: float = 0.1
+    average_share: float = 0.2
     """Share of the newest parameters in the averaged field, the map, every ten steps."""
     smoothness_points: int = 8
     """Points along an axis of the lattice that the smoothness loss looks at."""

@@ -50,7 +50,12 @@ class NeuralMap:
     semantics: SemanticMap | None = None
 
     def render(
-        self, camera: Camera, world_from_camera: np.ndarray, *, near_m: float = NEAR_M
+        self,
+        camera: Camera,
+        world_from_camera: np.ndarray,
+        *,
+        near_m: float = NEAR_M,
+        antialias: bool = False,
     ) -> RenderedView:
         """The map as a camera would see it; with features for its semantics where it has any."""
         empty = EmptySpace(
@@ -60,7 +65,15 @@ class NeuralMap:
             self.field.table.device,
         )
         space = self.semantics.heads.space if self.semantics is not None else None
-        return render_view(self.field, empty, camera, world_from_camera, near_m=near_m, space=space)
+        return render_view(
+            self.field,
+            empty,
+            camera,
+            world_from_camera,
+            near_m=near_m,
+            space=space,
+            antialias=antialias,
+        )
 
     def semantics_at(self, points_m: np.ndarray) -> Semantics:
         """What the map means at points [N, 3] in world metres; the map must have semantics."""

@@ -182,3 +182,18 @@ def test_a_saved_map_is_the_map(wall: OnlineMapper, tmp_path) -> None:  # type: 
     assert (tmp_path / "a.safetensors").stat().st_size == pytest.approx(
         sum(parts.values()), abs=3000
     )
+
+
+def test_antialiasing_touches_edges_alone(wall: OnlineMapper) -> None:
+    content, pose = NeuralMap(wall.averaged, wall.observed), wall_frame(0).world_from_camera
+    plain = content.render(CAMERA, pose)
+    smooth = content.render(CAMERA, pose, antialias=True)
+    np.testing.assert_array_equal(smooth.depth_m, plain.depth_m)
+    changed = (smooth.color != plain.color).any(axis=2)
+    # Red meets green at x = 0, between columns 19 and 20; away from it all is as it was.
+    assert changed[:, 17:23].any()
+    flat = np.abs(np.arange(40) - 19.5) > 8
+    assert changed[:, flat].mean() < 0.2
+    large = Camera(80, 60, 60.0, 60.0, 40.0, 30.0)
+    four = content.render(large, pose).color.reshape(30, 2, 40, 2, 3).mean(axis=(1, 3))
+    assert np.abs(smooth.color[changed] - four[changed]).max() <= 1.5
