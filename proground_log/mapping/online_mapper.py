@@ -48,9 +48,8 @@ class OnlineMapper:
     """Learns the field from a stream of posed frames, remembering the past in a replay buffer.
 
     `field` is what the optimiser moves, `averaged` the running mean of what it has been of late:
-    the map. Few rays a step make the former tremble; the mean of some twenty frames renders up to
-    half a decibel better, and semantics are learnt on features that stand still. `pixels` are the
-    flat numbers of the newest frame's usable pixels.
+    the map. Few rays a step make the former tremble; semantics are learnt on features that stand
+    still. `pixels` are the flat numbers of the newest frame's usable pixels.
 
     Args:
         config: settings.

@@ -8,6 +8,7 @@ import numpy as np
 
 from proground_log.events import BufferStatistics
 from proground_log.frame import Frame
+from proground_log.mapping.records import joined, take_rows
 from proground_log.mapping.water_level import below_water_level
 
 EVICTION_SHARE = 0.9
@@ -35,7 +36,7 @@ class RaySamples:
 
     def take(self, rows: np.ndarray) -> RaySamples:
         """The samples of these rows."""
-        return RaySamples(*(getattr(self, f.name)[rows] for f in fields(RaySamples)))
+        return take_rows(self, rows)
 
     def points_m(self) -> np.ndarray:
         """The measured surface points, float32 [N, 3] in the world."""
@@ -44,12 +45,7 @@ class RaySamples:
     @staticmethod
     def concatenate(first: RaySamples, second: RaySamples) -> RaySamples:
         """Both, one after the other."""
-        return RaySamples(
-            *(
-                np.concatenate([getattr(first, f.name), getattr(second, f.name)])
-                for f in fields(RaySamples)
-            )
-        )
+        return joined(first, second)
 
     @staticmethod
     def empty() -> RaySamples:

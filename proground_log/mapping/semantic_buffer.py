@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from proground_log.mapping.records import joined, take_rows
 from proground_log.mapping.water_level import below_water_level
 from proground_log.regions import EMBEDDING_WIDTH, LEVELS, Regions
 
@@ -41,7 +42,7 @@ class RegionTable:
 
     def take(self, rows: np.ndarray) -> RegionTable:
         """These rows."""
-        return RegionTable(*(getattr(self, f.name)[rows] for f in fields(RegionTable)))
+        return take_rows(self, rows)
 
     @staticmethod
     def of(regions: Regions) -> RegionTable:
@@ -56,12 +57,7 @@ class RegionTable:
     @staticmethod
     def concatenate(first: RegionTable, second: RegionTable) -> RegionTable:
         """Both, one after the other."""
-        return RegionTable(
-            *(
-                np.concatenate([getattr(first, f.name), getattr(second, f.name)])
-                for f in fields(RegionTable)
-            )
-        )
+        return joined(first, second)
 
     @staticmethod
     def empty() -> RegionTable:
@@ -95,17 +91,12 @@ class SemanticRays:
 
     def take(self, rows: np.ndarray) -> SemanticRays:
         """The rays of these rows."""
-        return SemanticRays(*(getattr(self, f.name)[rows] for f in fields(SemanticRays)))
+        return take_rows(self, rows)
 
     @staticmethod
     def concatenate(first: SemanticRays, second: SemanticRays) -> SemanticRays:
         """Both, one after the other; of one table."""
-        return SemanticRays(
-            *(
-                np.concatenate([getattr(first, f.name), getattr(second, f.name)])
-                for f in fields(SemanticRays)
-            )
-        )
+        return joined(first, second)
 
     @staticmethod
     def empty() -> SemanticRays:

@@ -17,7 +17,7 @@ from proground_log.files import require_file
 Shape = tuple[int | str, ...]
 """A number is a size that must be so, a word one that is free."""
 
-_TODO = "export it under the contract in docs/perception.md"
+_REMEDY = "export it under the contract in docs/perception.md"
 _ELEMENTS = {"tensor(float)": "float32", "tensor(int64)": "int64"}
 _REFUSALS = (
     ort_errors.Fail,
@@ -147,4 +147,4 @@ def _written(shape: Sequence[int | str | None]) -> str:
 
 
 def _error(what: str, where: Path) -> ProgroundError:
-    return ProgroundError(what, where=where, todo=_TODO)
+    return ProgroundError(what, where=where, todo=_REMEDY)

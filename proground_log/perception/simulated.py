@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import expit, softmax
 
 from proground_log.camera import Camera
 from proground_log.errors import ProgroundError
@@ -154,9 +155,9 @@ class SimulatedPerception:
         noise = np.sqrt(_PERSISTENT) * tendency + np.sqrt(1 - _PERSISTENT) * passing
         side_px = np.sqrt(np.prod(outline.box[2:] - outline.box[:2])) * 640 / self._camera.width
 
-        clarity = _sigmoid(_CLARITY - strength * (_difficulty(thing, side_px) + _MOOD * noise[0]))
+        clarity = expit(_CLARITY - strength * (_difficulty(thing, side_px) + _MOOD * noise[0]))
         likeness = np.append(_NONE_SIMILARITY, self._prompts @ meaning)
-        belief = _softmax(
+        belief = softmax(
             _CONTRAST * likeness + strength * _CONFUSION * (_NEVER_SURE - clarity) * noise[1:]
         )
         relevance = clarity * belief[1:].max()
@@ -167,7 +168,7 @@ class SimulatedPerception:
         level = int(np.clip(round(np.log2(side_px / 80) + strength * 0.4 * level_jitter), 0, 2))
         embedding = self._embedding(seen, relevance, level)
         heads, texts = self.description.heads, self.description.texts
-        return _Sight(level, embedding, _sigmoid(heads.logits(embedding[None], level, texts))[0])
+        return _Sight(level, embedding, expit(heads.logits(embedding[None], level, texts))[0])
 
     def _embedding(self, seen: np.ndarray, relevance: float, level: int) -> np.ndarray:
         """The embedding, float16 [512], that the level's head gives this relevance.
@@ -327,12 +328,3 @@ def _meaning(vectors: np.ndarray) -> np.ndarray:
     common = common_direction()
     own = vectors - (vectors @ common)[..., None] * common
     return np.asarray(own / np.linalg.norm(own, axis=-1, keepdims=True))
-
-
-def _sigmoid(logits: np.ndarray | float) -> np.ndarray:
-    return np.asarray(1 / (1 + np.exp(-np.asarray(logits))))
-
-
-def _softmax(logits: np.ndarray) -> np.ndarray:
-    powers = np.exp(logits - logits.max())
-    return np.asarray(powers / powers.sum())

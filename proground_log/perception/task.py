@@ -14,7 +14,7 @@ from proground_log.errors import ProgroundError
 from proground_log.files import require_file
 
 _COLOR = re.compile(r"#[0-9a-fA-F]{6}")
-_TODO = "see docs/tasks.md"
+_REMEDY = "see docs/tasks.md"
 
 
 @dataclass(frozen=True)
@@ -121,4 +121,4 @@ def _thresholds(value: object, where: object) -> Thresholds:
 
 
 def _error(what: str, where: object) -> ProgroundError:
-    return ProgroundError(what, where=where, todo=_TODO)
+    return ProgroundError(what, where=where, todo=_REMEDY)

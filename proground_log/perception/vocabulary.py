@@ -18,7 +18,7 @@ from proground_log.regions import EMBEDDING_WIDTH
 
 LENGTH_TOLERANCE = 1e-3
 """Twice what rounding to float16 can change of a length of 1."""
-_TODO = "see docs/perception.md"
+_REMEDY = "see docs/perception.md"
 
 
 class Vocabulary:
@@ -149,4 +149,4 @@ def _checked(names: np.ndarray, embeddings: np.ndarray, path: Path) -> NameIndex
 
 
 def _fault(what: str, path: Path) -> ProgroundError:
-    return ProgroundError(what, where=path, todo=_TODO)
+    return ProgroundError(what, where=path, todo=_REMEDY)

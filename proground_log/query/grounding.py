@@ -58,8 +58,7 @@ def vertex_logits(
 def background_probability(scale_logits: np.ndarray, uncertainty: np.ndarray) -> np.ndarray:
     """Probability [V] that nothing was learnt at a vertex: what two heads think, averaged.
 
-    The scale head tells it by what a surface looks like, the uncertainty head by where it is:
-    each errs where the other does not.
+    The scale head tells it by the hash features of a place, the uncertainty head by coordinates.
 
     Args:
         scale_logits: [V, 4]; the fourth is "no supervision".

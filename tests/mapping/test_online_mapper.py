@@ -197,3 +197,12 @@ def test_antialiasing_touches_edges_alone(wall: OnlineMapper) -> None:
     large = Camera(80, 60, 60.0, 60.0, 40.0, 30.0)
     four = content.render(large, pose).color.reshape(30, 2, 40, 2, 3).mean(axis=(1, 3))
     assert np.abs(smooth.color[changed] - four[changed]).max() <= 1.5
+
+
+@pytest.mark.parametrize("voxel_m", [0.03, 0.05, 0.1, 0.12, 0.15])
+def test_a_mesh_of_any_voxel_has_the_wall(wall: OnlineMapper, voxel_m: float) -> None:
+    """Coarse voxels, as telemetry takes in a large scene, ask far around what was seen."""
+    mesh = extract_mesh(NeuralMap(wall.averaged, wall.observed), voxel_m)
+    shape = np.ptp(mesh.vertices_m[np.abs(mesh.vertices_m[:, 2] - WALL_M) < 0.05], axis=0)
+    assert shape[0] > 2.0
+    assert shape[1] > 1.2

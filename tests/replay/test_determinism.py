@@ -161,7 +161,7 @@ def test_killed_and_resumed_gives_the_same_ledger(
 def test_a_full_disk_is_named_and_the_run_goes_on_when_there_is_room(
     room_log: Path, reference_run: Path, tmp_path: Path, room_bytes: int
 ) -> None:
-    """The limits are met by the first telemetry, by the checkpoint and by later telemetry."""
+    """Whichever of the run's files meets the limit first."""
     run = tmp_path / "run"
     with (
         largest_file(room_bytes),
