@@ -54,14 +54,11 @@ class KeyframeInserted:
         frame_index: number of the frame in its log.
         inserted: samples added.
         evicted: samples, old or new, that had to go to stay under the cap.
-        semantic_inserted, semantic_evicted: the same of the rays that teach meaning.
     """
 
     frame_index: int
     inserted: int
     evicted: int
-    semantic_inserted: int
-    semantic_evicted: int
 
 
 @dataclass(frozen=True)
@@ -118,6 +115,7 @@ class SemanticStatistics:
         regions: regions whose embedding is held.
         labels: rays by prompt.
         levels: rays by pyramid level, [3].
+        inserted, evicted: rays that came in since the start of the replay, and had to go.
         size_bytes: memory all of it takes.
     """
 
@@ -127,6 +125,8 @@ class SemanticStatistics:
     regions: int
     labels: dict[str, int]
     levels: list[int]
+    inserted: int
+    evicted: int
     size_bytes: int
 
 

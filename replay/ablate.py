@@ -169,10 +169,10 @@ def run_variants(
             key: register(replace(sensor, regions=perceiver(sensor)))
             for key, perceiver in perceivers.items()
         }
-        keyframe = mapper.insert(next(iter(views.values()))) is not None
+        mapper.insert(next(iter(views.values())))
         for variant in variants:
             frame = views[variant.perception]
-            learners[variant.name].insert(frame, mapper.pixels, keyframe=keyframe)
+            learners[variant.name].insert(frame, mapper.pixels)
         for iteration in range(config.steps):
             mapper.step()
             for name, learner in learners.items():

@@ -57,8 +57,6 @@ def entry_of(event: Event) -> dict[str, Any] | None:
                 "frame": event.frame_index,
                 "inserted": event.inserted,
                 "evicted": event.evicted,
-                "semantic_inserted": event.semantic_inserted,
-                "semantic_evicted": event.semantic_evicted,
             }
         case StepDone():
             return {

@@ -77,15 +77,20 @@ def smoothness_loss(lattice_features: Tensor) -> Tensor:
     return torch.stack([d.flatten(1).mean(dim=1).mean() for d in differences]).sum()
 
 
-def semantic_loss(rendered: Tensor, observed: Tensor, confidence: Tensor) -> Tensor:
+def semantic_loss(
+    rendered: Tensor, observed: Tensor, confidence: Tensor, *, squared: bool = False
+) -> Tensor:
     """c_tau || f' - f ||_2 (Eq. 5), averaged over the rays with c_tau as their weight.
 
     Args:
         rendered, observed: [R, 512].
         confidence: [R], c_tau, or 1 where regions are not weighted.
+        squared: take the squared norm, which colour and depth have; Eq. 5 prints the norm.
     """
-    # A norm has no gradient where it is zero.
-    distance = (rendered - observed).square().sum(dim=1).add(1e-12).sqrt()
+    distance = (rendered - observed).square().sum(dim=1)
+    if not squared:
+        # A norm has no gradient where it is zero.
+        distance = distance.add(1e-12).sqrt()
     return weighted_mean(distance, confidence)
 
 

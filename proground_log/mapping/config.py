@@ -50,6 +50,8 @@ class SemanticsConfig:
     """Learn from regions above the task's relevance threshold alone (lambda_tau in Eq. 3)."""
     weight_regions: bool = True
     """Weight each region by its relevance (c_tau in Eq. 5)."""
+    squared_norm: bool = False
+    """Square the norm in Eq. 5."""
     rays: int = 256
     """Semantic rays of a step, apart from those of colour and geometry."""
     background_rays: int = 128
@@ -58,8 +60,8 @@ class SemanticsConfig:
     """Samples of such a ray, over the surface's range."""
     capacity: int = 200_000
     """Most semantic rays held, and most background rays."""
-    keyframe_rays: int = 4_000
-    """Semantic rays kept of a keyframe, shared out among its regions, and background rays."""
+    frame_rays: int = 4_000
+    """Semantic rays remembered of a mapped frame, and background rays."""
     balance: float = 0.5
     """Labels are drawn in proportion to their rays to this power: 1 every ray alike, 0 every label
     alike."""

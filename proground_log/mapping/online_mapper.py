@@ -24,7 +24,7 @@ from proground_log.mapping.config import MapperConfig
 from proground_log.mapping.observed import ObservedSurface
 from proground_log.mapping.optimiser import ADAM_BETAS, restore_training, training_state, under
 from proground_log.mapping.replay_buffer import RaySamples, ReplayBuffer, ray_samples
-from proground_log.mapping.semantic_learner import SemanticInsertion, SemanticLearner
+from proground_log.mapping.semantic_learner import SemanticLearner
 from proground_log.perception.description import PerceptionDescription
 from proground_log.streams import stream
 
@@ -102,22 +102,15 @@ class OnlineMapper:
         self.pixels = candidates[self.bounds.contains(points_m)]
         is_keyframe = self._mapped % self.config.buffer.keyframe_every == 0
         self._mapped += 1
-        semantic = SemanticInsertion(0, 0)
         if self.semantics is not None:
-            semantic = self.semantics.insert(frame, self.pixels, keyframe=is_keyframe)
+            self.semantics.insert(frame, self.pixels)
         if not is_keyframe or not len(self.pixels):
             return None
         random = stream(self.seed, "buffer", frame.index)
         count = min(self.config.buffer.keyframe_samples, len(self.pixels))
         chosen = np.sort(random.choice(self.pixels, size=count, replace=False))
         evicted = self.buffer.insert(frame.index, ray_samples(frame, chosen), random)
-        return KeyframeInserted(
-            frame.index,
-            inserted=count,
-            evicted=evicted,
-            semantic_inserted=semantic.inserted,
-            semantic_evicted=semantic.evicted,
-        )
+        return KeyframeInserted(frame.index, inserted=count, evicted=evicted)
 
     def step(self) -> StepResult | None:
         """One optimisation step; None where neither the frame nor the buffer has a sample."""

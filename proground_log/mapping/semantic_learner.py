@@ -19,21 +19,12 @@ from proground_log.mapping.config import LossWeights, MapperConfig
 from proground_log.mapping.optimiser import ADAM_BETAS, restore_training, training_state, under
 from proground_log.mapping.replay_buffer import RaySamples, ReplayBuffer, ray_samples
 from proground_log.mapping.semantic_buffer import RegionTable, SemanticBuffer, SemanticRays
-from proground_log.mapping.water_level import below_water_level
 from proground_log.perception.description import PerceptionDescription
 from proground_log.regions import LEVELS
 from proground_log.streams import stream
 
 SCORED_RAYS = 512
 """Rays on which the heads are judged after a frame."""
-
-
-@dataclass(frozen=True)
-class SemanticInsertion:
-    """What a keyframe brought: rays that came in, and rays that had to go."""
-
-    inserted: int
-    evicted: int
 
 
 @dataclass(frozen=True)
@@ -63,7 +54,7 @@ class SemanticLearner:
         seed: int,
     ) -> None:
         self.description = description
-        self._config, self._settings = config.sampling, config.semantics
+        self._sampling, self._settings = config.sampling, config.semantics
         self._weights: LossWeights = config.weights
         self._field, self._seed = field, seed
         self._device = field.table.device
@@ -73,22 +64,17 @@ class SemanticLearner:
         )
         self._buffer = SemanticBuffer(self._settings.capacity, self._settings.balance)
         self._background = ReplayBuffer(self._settings.capacity, config.buffer.place_m)
-        self._table = RegionTable.empty()
-        self._rays = SemanticRays.empty()
-        self._unlabelled = RaySamples.empty()
+        self._inserted = 0
 
-    def insert(self, frame: Frame, pixels: np.ndarray, *, keyframe: bool) -> SemanticInsertion:
-        """Choose what to learn from the newest frame; a keyframe's choice is remembered.
+    def insert(self, frame: Frame, pixels: np.ndarray) -> None:
+        """Remember what to learn from a frame.
 
         Args:
             frame: the frame; without regions it teaches nothing.
             pixels: flat numbers of its usable pixels.
-            keyframe: whether it is one.
         """
-        self._table, self._rays = RegionTable.empty(), SemanticRays.empty()
-        self._unlabelled = RaySamples.empty()
         if frame.regions is None or frame.region_of is None or not len(pixels):
-            return SemanticInsertion(0, 0)
+            return
         random = stream(self._seed, "semantic buffer", frame.index)
         table = RegionTable.of(frame.regions)
         teaches = np.ones(len(table), bool)
@@ -97,28 +83,19 @@ class SemanticLearner:
         owner = frame.region_of.reshape(-1)[pixels]
         # The last entry stands for all pixels without a region, even where there are no regions.
         is_region = np.append(teaches, False)[np.maximum(owner, -1)]
-        candidates, owner_of = pixels[is_region], owner[is_region]
-        if len(candidates):
-            ranks = random.integers(0, 2**32, size=len(candidates), dtype=np.uint32)
-            chosen = below_water_level(
-                owner_of.astype(np.int64), ranks, self._settings.keyframe_rays
-            )
-            rays = ray_samples(frame, candidates[chosen])
-            self._table = table
-            self._rays = SemanticRays(
-                rays.origins_m, rays.directions, rays.depth_m, owner_of[chosen].astype(np.int32)
-            )
+        owners, candidates = owner[is_region], pixels[is_region]
+        chosen = _shared_out(owners, self._settings.frame_rays, random)
+        rays = ray_samples(frame, candidates[chosen])
+        regions = owners[chosen].astype(np.int32)
+        self._buffer.insert(
+            SemanticRays(rays.origins_m, rays.directions, rays.depth_m, regions), table, random
+        )
         # A thing that is hardly recognised is no background either: it teaches nothing.
         candidates = pixels[owner == NO_REGION]
-        if len(candidates):
-            count = min(self._settings.keyframe_rays, len(candidates))
-            chosen = np.sort(random.choice(candidates, size=count, replace=False))
-            self._unlabelled = ray_samples(frame, chosen)
-        if not keyframe:
-            return SemanticInsertion(0, 0)
-        evicted = self._buffer.insert(self._rays, self._table, random)
-        evicted += self._background.insert(frame.index, self._unlabelled, random)
-        return SemanticInsertion(len(self._rays) + len(self._unlabelled), evicted)
+        count = min(self._settings.frame_rays, len(candidates))
+        nothing = np.sort(random.choice(candidates, size=count, replace=False))
+        self._background.insert(frame.index, ray_samples(frame, nothing), random)
+        self._inserted += len(chosen) + len(nothing)
 
     def step(self, frame_index: int, iteration: int) -> SemanticStep | None:
         """One step of the heads; None where there is nothing yet to learn from."""
@@ -137,7 +114,9 @@ class SemanticLearner:
             if not self._settings.weight_regions:
                 confidence = torch.ones_like(confidence)
             embeddings = self.heads.embeddings(rendered)[:supervised]
-            terms["semantic"] = semantic_loss(embeddings, observed, confidence)
+            terms["semantic"] = semantic_loss(
+                embeddings, observed, confidence, squared=self._settings.squared_norm
+            )
         terms["scale"] = focal_loss(self.heads.scale_logits(rendered), classes)
         terms["uncertainty"] = uncertainty_loss(
             self.heads.uncertainty_logits(rendered), classes == NO_SUPERVISION
@@ -178,44 +157,24 @@ class SemanticLearner:
         )
 
     def _draw(self, rays: int, background_rays: int, random: np.random.Generator) -> _Batch | None:
-        """Rays of regions first, then of the background; the newest frame has its share."""
-        parts: list[SemanticRays] = []
-        tables: list[RegionTable] = []
-        draws: list[np.ndarray] = []
-        current = self._current_share(rays, len(self._rays), len(self._buffer))
-        if current:
-            draws.append(random.integers(0, len(self._rays), size=current))
-            parts.append(self._rays.take(draws[-1]))
-            tables.append(self._table.take(parts[-1].regions))
-        if len(self._buffer) and current < rays:
-            draws.append(self._buffer.draw(rays - current, random))
-            parts.append(self._buffer.take(draws[-1]))
-            tables.append(self._buffer.table.take(parts[-1].regions))
-        unlabelled: list[RaySamples] = []
-        current = self._current_share(background_rays, len(self._unlabelled), len(self._background))
-        if current:
-            draws.append(random.integers(0, len(self._unlabelled), size=current))
-            unlabelled.append(self._unlabelled.take(draws[-1]))
-        if len(self._background) and current < background_rays:
-            draws.append(random.integers(0, len(self._background), size=background_rays - current))
-            unlabelled.append(self._background.take(draws[-1]))
-        if not draws:
+        """Rays of regions first, then of the background."""
+        table, draws = RegionTable.empty(), []
+        parts: list[SemanticRays | RaySamples] = []
+        if len(self._buffer):
+            draws.append(self._buffer.draw(rays, random))
+            of_regions = self._buffer.take(draws[-1])
+            parts.append(of_regions)
+            table = self._buffer.table.take(of_regions.regions)
+        if len(self._background):
+            draws.append(random.integers(0, len(self._background), size=background_rays))
+            parts.append(self._background.take(draws[-1]))
+        if not parts:
             return None
-        table = RegionTable.empty()
-        for part in tables:
-            table = RegionTable.concatenate(table, part)
-        rays_of = [*parts, *unlabelled]
         origins_m, directions, depth_m = (
-            np.concatenate([getattr(part, name) for part in rays_of])
+            np.concatenate([getattr(part, name) for part in parts])
             for name in ("origins_m", "directions", "depth_m")
         )
         return _Batch(origins_m, directions, depth_m, table, draws)
-
-    def _current_share(self, rays: int, available: int, remembered: int) -> int:
-        """How many of the rays look at the newest frame."""
-        if not available:
-            return 0
-        return round(rays * self._config.current_share) if remembered else rays
 
     def _render(self, batch: _Batch, random: np.random.Generator) -> PointFeatures:
         """What the heads look at, composited along each ray (Eq. 4)."""
@@ -223,8 +182,8 @@ class SemanticLearner:
             batch.depth_m,
             uniform=0,
             near_surface=self._settings.samples,
-            near_m=self._config.near_m,
-            range_m=self._config.range_m,
+            near_m=self._sampling.near_m,
+            range_m=self._sampling.range_m,
             jitter=random.random((len(batch), self._settings.samples), dtype=np.float32),
         )
         z_m = self._tensor(depths_m)
@@ -254,6 +213,8 @@ class SemanticLearner:
             regions=len(self._buffer.table),
             labels=dict(zip(prompts, counted.tolist(), strict=True)),
             levels=levels.tolist(),
+            inserted=self._inserted,
+            evicted=self._inserted - len(self._buffer) - len(self._background),
             size_bytes=sum(array.nbytes for array in arrays),
         )
 
@@ -262,15 +223,14 @@ class SemanticLearner:
         state = training_state(self.heads, self._optimiser)
         for part, buffer in (("buffer", self._buffer), ("background", self._background)):
             state |= {f"{part}/{name}": array for name, array in buffer.state().items()}
-        return state
+        return state | {"inserted": np.array(self._inserted)}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Go back to what `state` returned, after the last step of a frame."""
         restore_training(self.heads, self._optimiser, state)
         self._buffer.restore(under("buffer", state))
         self._background.restore(under("background", state))
-        self._table, self._rays = RegionTable.empty(), SemanticRays.empty()
-        self._unlabelled = RaySamples.empty()
+        self._inserted = state["inserted"].item()
 
 
 @dataclass(frozen=True)
@@ -285,6 +245,18 @@ class _Batch:
 
     def __len__(self) -> int:
         return len(self.depth_m)
+
+
+def _shared_out(owners: np.ndarray, count: int, random: np.random.Generator) -> np.ndarray:
+    """Rows of at most `count` pixels, int64 rising, each region in proportion to its area's root.
+
+    In proportion to the area, walls of cupboards leave nothing to cups; in equal parts, every
+    pixel of a cup would stand for hundreds of a cupboard's.
+    """
+    area = np.bincount(owners)[owners]
+    # The smallest of exponential draws with these means are a weighted draw without replacement.
+    ranks = random.exponential(size=len(owners)) * np.sqrt(area)
+    return np.sort(np.argsort(ranks, kind="stable")[:count])
 
 
 def _share(hits: np.ndarray) -> float:

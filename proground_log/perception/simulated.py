@@ -25,17 +25,17 @@ from proground_log.perception.task import Task
 from proground_log.regions import EMBEDDING_WIDTH, LEVELS, Regions
 from proground_log.streams import stream
 
-_CONTRAST = 10.0
+_CONTRAST = 20.0
 """Logits between the right prompt and one that has nothing to do with it."""
-_NONE_SIMILARITY = 0.55
+_NONE_SIMILARITY = 0.9
 """What resembles no prompt by more than this is rather taken for background."""
 _EMBEDDING_CONTRAST = 8.0
 """The same as _CONTRAST, for what the embedding says to texts."""
 _EMBEDDING_NOISE = 0.35
 """Length of the part of an embedding that means nothing, beside 1 for the part that does."""
-_CLARITY = 2.7
+_CLARITY = 2.0
 """Logit of how clearly a thing is seen that is near, whole and large."""
-_CONFUSION, _NEVER_SURE = 11.0, 1.06
+_CONFUSION, _NEVER_SURE = 12.0, 1.0
 """Noise on each prompt's logit: its spread is the first, times the second less the clarity."""
 _PERSISTENT = 0.8
 """Share of the noise's variance that stays with a thing and the side it is seen from."""

@@ -10,7 +10,6 @@ import rerun as rr
 from proground_log.events import (
     Event,
     FrameDone,
-    KeyframeInserted,
     MeshExtracted,
     SemanticScores,
     SemanticStatistics,
@@ -53,9 +52,6 @@ class SemanticDrawing:
     def on_event(self, event: Event, now: Moment) -> None:
         """Draw what an event says of meaning."""
         match event:
-            case KeyframeInserted():
-                self._scalars.add("buffer/semantic_inserted", now, event.semantic_inserted)
-                self._scalars.add("buffer/semantic_evicted", now, event.semantic_evicted)
             case SemanticScores():
                 self._on_scores(event, now)
             case FrameDone(semantics=SemanticStatistics() as statistics):
@@ -97,6 +93,8 @@ class SemanticDrawing:
             "semantic_share": memory.samples / memory.capacity,
             "background": memory.background,
             "regions": memory.regions,
+            "semantic_inserted": memory.inserted,
+            "semantic_evicted": memory.evicted,
             "semantic_bytes": memory.size_bytes,
         }
         for name, value in figures.items():

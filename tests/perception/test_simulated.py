@@ -83,11 +83,19 @@ def test_a_synonym_finds_its_class_and_the_unprompted_is_background() -> None:
 def test_the_unprompted_passes_for_what_resembles_it_at_low_relevance() -> None:
     """No sofa is asked for, but a chair resembles one; with a sofa asked for, that wins."""
     frame = painted(square(LABELS["sofa"], 60))
-    chair = detector(strength=0, task=Task("t", ("chair", "book")))(frame)
-    both = detector(strength=0, task=Task("t", ("chair", "sofa")))(frame)
-    assert chair.labels.tolist() == [0]
-    assert both.labels.tolist() == [1]
-    assert chair.confidence[0] < 0.4 < both.confidence[0]
+
+    def best(*prompts: str) -> tuple[list[str], float]:
+        """The best prompt of each seed that found any, and its mean relevance."""
+        found = [detector(seed, task=Task("t", prompts))(frame) for seed in range(150)]
+        best = [(prompts[f.labels[0]], float(f.confidence[0])) for f in found if len(f)]
+        return [prompt for prompt, _ in best], float(np.mean([relevance for _, relevance in best]))
+
+    without, low = best("chair", "book")
+    with_it, high = best("chair", "sofa")
+    assert 5 < len(without) < 40 < 100 < len(with_it)
+    assert without.count("chair") > without.count("book")
+    assert with_it.count("sofa") > 100
+    assert low < 0.4 < high
 
 
 @pytest.mark.parametrize("strength", [0.0, 1.0, 2.0])
@@ -142,14 +150,17 @@ def test_regions_depend_on_seed_and_frame_alone(frames: list[SensorFrame]) -> No
     assert not np.array_equal(first(frames[0]).owner, other(frames[0]).owner)
 
 
-@pytest.mark.parametrize("seed", range(5))
 def test_the_default_errors_leave_two_thirds_of_the_labels_right(
-    frames: list[SensorFrame], seed: int
+    frames: list[SensorFrame],
 ) -> None:
-    found = counts(detector(seed), frames)
-    print(f"seed {seed}: right on {found.accuracy:.1%} of the labelled pixels at 0.05")
-    assert 0.58 < found.accuracy < 0.72
-    assert counts(detector(seed), frames, 0.4).precision > found.precision + 0.04
+    found = [counts(detector(seed), frames) for seed in range(5)]
+    sure = [counts(detector(seed), frames, 0.4) for seed in range(5)]
+    accuracies = [each.accuracy for each in found]
+    print(f"right on {np.round(accuracies, 3)} of the labelled pixels at 0.05")
+    assert 0.6 < np.mean(accuracies) < 0.7
+    assert 0.55 < min(accuracies) < max(accuracies) < 0.8
+    for all_found, sure_found in zip(found, sure, strict=True):
+        assert sure_found.precision > all_found.precision + 0.04
 
 
 def test_accuracy_falls_with_strength_and_with_irrelevant_prompts(

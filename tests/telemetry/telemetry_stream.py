@@ -59,7 +59,7 @@ def statistics(index: int, task: TaskKnown) -> SemanticStatistics:
     labels = {prompt: (number + 1) * index for number, prompt in enumerate(task.prompts)}
     total = sum(labels.values())
     return SemanticStatistics(
-        total, 1000, 7 * index, 3 + index, labels, [total, index, 2], 4 * total
+        total, 1000, 7 * index, 3 + index, labels, [total, index, 2], 2 * total, total, 4 * total
     )
 
 
@@ -143,8 +143,7 @@ def of_frame(index: int, task: TaskKnown | None = None) -> Iterator[Event]:
     )
     yield FrameArrived(frame, begin_ns, f"{index:064x}", held_out)
     held = min(CAPACITY, 30 * (index + 1))
-    learnt = 11 if task is not None else 0
-    yield KeyframeInserted(index, 30, 30 * (index + 1) - held, learnt, learnt // 2)
+    yield KeyframeInserted(index, 30, 30 * (index + 1) - held)
     for iteration in range(STEPS_PER_FRAME):
         step = index * STEPS_PER_FRAME + iteration
         now_ns = begin_ns + 7_000_003 * (iteration + 1)

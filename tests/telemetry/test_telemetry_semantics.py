@@ -134,8 +134,8 @@ def test_the_memory_of_meaning_is_drawn(rows: Rows) -> None:
         "background": [memory.background for memory in MEMORIES],
         "regions": [memory.regions for memory in MEMORIES],
         "semantic_bytes": [memory.size_bytes for memory in MEMORIES],
-        "semantic_inserted": [11] * len(FRAMES),
-        "semantic_evicted": [5] * len(FRAMES),
+        "semantic_inserted": [memory.inserted for memory in MEMORIES],
+        "semantic_evicted": [memory.evicted for memory in MEMORIES],
     }
     for name, expected in figures.items():
         times, values = scalars(rows, f"/buffer/{name}")
