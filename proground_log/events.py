@@ -47,6 +47,62 @@ class FrameArrived:
 
 
 @dataclass(frozen=True)
+class FrameDropped:
+    """A frame came while the mapper was busy, and never reached it.
+
+    Args:
+        frame_index: number of the frame in its log.
+        sim_time_ns: when that was.
+        reason: which rule it fell to.
+    """
+
+    frame_index: int
+    sim_time_ns: int
+    reason: str
+
+
+@dataclass(frozen=True)
+class RegionsArrived:
+    """Perception beside the mapper has finished a frame that was mapped before.
+
+    Args:
+        frame_index: number of the frame in its log.
+        begin_ns: simulated time at which perception began.
+        sim_time_ns: when its regions reached the mapper.
+    """
+
+    frame_index: int
+    begin_ns: int
+    sim_time_ns: int
+
+
+@dataclass(frozen=True)
+class FrameScheduled:
+    """What a mapped frame took, in simulated time since the start of the replay.
+
+    Args:
+        frame_index: number of the frame in its log.
+        sim_time_ns: when the mapper was done with it.
+        arrived_ns: when it arrived; the lag is the time from then.
+        idle_ns: how long the mapper had nothing to do before it.
+        waiting: frames that waited when it was taken, itself not counted.
+        steps: optimisation steps that it was given.
+        overrun_ns: what reading and inserting it took beyond the budget.
+        spans: begin and end of each stage that took place, by its name: decode, perceive, insert,
+            step (all of them).
+    """
+
+    frame_index: int
+    sim_time_ns: int
+    arrived_ns: int
+    idle_ns: int
+    waiting: int
+    steps: int
+    overrun_ns: int
+    spans: dict[str, tuple[int, int]]
+
+
+@dataclass(frozen=True)
 class KeyframeInserted:
     """The frame's samples went into the replay buffer.
 
@@ -271,8 +327,11 @@ class RunFinished:
 Event = (
     TaskKnown
     | FrameArrived
+    | FrameDropped
+    | RegionsArrived
     | KeyframeInserted
     | StepDone
+    | FrameScheduled
     | FrameDone
     | SemanticScores
     | StateDigested

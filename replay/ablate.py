@@ -169,7 +169,8 @@ def run_variants(
             key: register(replace(sensor, regions=perceiver(sensor)))
             for key, perceiver in perceivers.items()
         }
-        mapper.insert(next(iter(views.values())))
+        is_keyframe = (done - 1) % config.simulation.keyframe_every == 0
+        mapper.insert(next(iter(views.values())), is_keyframe=is_keyframe)
         for variant in variants:
             frame = views[variant.perception]
             learners[variant.name].insert(frame, mapper.pixels)

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Annotated
 
 import tyro
 
+from proground_log.errors import ProgroundError
 from proground_log.frame import Selection
 from proground_log.mapping.config import MapperConfig
+from replay.cost_model import DEFAULT_MODEL
+from replay.scheduler import Overrun
+
+MaybeFloat = Annotated[float | None, tyro.conf.arg(metavar="FLOAT", help_behavior_hint="")]
 
 
 @dataclass(frozen=True)
@@ -25,6 +31,56 @@ class TelemetryConfig:
     """Every so many mapped frames, the mesh is extracted."""
     mesh_voxel_m: float = 0.05
     """Its voxels; larger ones in a house, so that a mesh stays cheap."""
+
+
+@dataclass(frozen=True)
+class SimulationConfig:
+    """The computer that the map is made on, as far as time goes; see docs/budgets.md."""
+
+    budget_ms: MaybeFloat = None
+    """Simulated time that a mapped frame may take, steps and all; without it, each gets --steps."""
+    rate: MaybeFloat = None
+    """Speed at which frames arrive, 1 as recorded; 0: lock-step, the next frame arrives when the
+    mapper is free. By default 1 with a budget and 0 without."""
+    queue: int = 1
+    """Frames that may wait while the mapper is busy."""
+    overrun: Overrun = "drop-oldest"
+    """What gives when one more arrives; wait: it waits outside, and none is lost."""
+    keyframe_every: int = 2
+    """Every so many mapped frames, one becomes a keyframe."""
+    perceive_every: int = 1
+    """Every so many mapped frames, one is perceived."""
+    perceive_keyframes_only: bool = False
+    """Perceive keyframes alone."""
+    perceive_beside: bool = False
+    """Perception has a computer of its own: it costs the mapper nothing, and comes later."""
+    cost: str = DEFAULT_MODEL
+    """What stages take: a shipped model, or a file of `pglog calibrate` (.json)."""
+    cost_scale: float = 1.0
+    """The computer is so many times slower than the model's."""
+
+    @property
+    def speed(self) -> float:
+        """The rate that holds; 0 is lock-step."""
+        if self.rate is not None:
+            return self.rate
+        return 0.0 if self.budget_ms is None else 1.0
+
+    def require_sound(self) -> None:
+        """Raise a ProgroundError unless every figure makes sense."""
+        rate, budget_ms = self.rate or 0.0, self.budget_ms
+        complaints = {
+            "--budget-ms": (budget_ms is None or 0 < budget_ms < math.inf, "more than 0"),
+            "--rate": (0 <= rate < math.inf, "0 for lock-step, or more"),
+            "--queue": (self.queue >= 1, "1 or more"),
+            "--keyframe-every": (self.keyframe_every >= 1, "1 or more"),
+            "--perceive-every": (self.perceive_every >= 1, "1 or more"),
+            "--cost-scale": (0 < self.cost_scale < math.inf, "more than 0"),
+        }
+        for flag, (is_sound, wanted) in complaints.items():
+            if not is_sound:
+                value = getattr(self, flag[2:].replace("-", "_"))
+                raise ProgroundError(f"cannot be {value:g}", where=flag, todo=f"give {wanted}")
 
 
 @dataclass(frozen=True)
@@ -47,5 +103,8 @@ class ReplayConfig:
     """Steps between two fingerprints of the whole state in the ledger."""
     checkpoint_every: int = 50
     """Frames between two checkpoints, from which --resume goes on."""
+    keep_checkpoints: bool = False
+    """Keep all of them, for --from-checkpoint and `pglog bisect`."""
+    simulation: Annotated[SimulationConfig, tyro.conf.arg(name="")] = SimulationConfig()
     mapper: MapperConfig = MapperConfig()
     telemetry: TelemetryConfig = TelemetryConfig()

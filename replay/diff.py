@@ -1,57 +1,25 @@
-"""Where two runs part ways: the first step that differs, and in what."""
+"""Where two runs part ways, and what made them differ; runs of different versions as well."""
 
 from __future__ import annotations
 
-import dataclasses
+import json
 from dataclasses import dataclass
-from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from safetensors import SafetensorError, safe_open
 
-from proground_log.mapping.map_file import load_map
-from replay.ledger import bits_float, read_ledger
-from replay.manifest import Manifest
+from proground_log.errors import ProgroundError
+from proground_log.files import require_file
+from replay.difference_table import DifferenceRow, difference_table
+from replay.distance import TensorDifference, tensor_differences
+from replay.divergence import ABSENT, Divergence, first_divergence
+from replay.ledger import read_ledger
 from replay.run_folder import RunFolder
 
-CAUSES = {
-    "event": "schedule",
-    "input": "input",
-    "stamp_ns": "schedule",
-    "sim_time_ns": "schedule",
-    "held_out": "schedule",
-    "frame": "schedule",
-    "step": "schedule",
-    "iteration": "schedule",
-    "steps": "schedule",
-    "draws": "random draw",
-    "losses": "loss",
-    "digests": "state",
-    "buffer": "buffer",
-    "inserted": "buffer",
-    "evicted": "buffer",
-}
-"""What a differing field of a ledger's entry means; the order is that of cause and effect."""
-
-
-@dataclass(frozen=True)
-class Divergence:
-    """The first difference between two ledgers.
-
-    Args:
-        line: of the ledger, from 1.
-        frame: number of the frame in its log, as far as the first ledger tells.
-        step: number of the step, likewise; None before the first.
-        cause: input, schedule, random draw, loss, state or buffer.
-        details: what differs, a line each, with the distance in ulp where it is a number.
-    """
-
-    line: int
-    frame: int | None
-    step: int | None
-    cause: str
-    details: list[str]
+NO_ORIGIN = ("log_path", "threads", "result")
+"""Parts of a manifest that reach no result."""
 
 
 @dataclass(frozen=True)
@@ -59,14 +27,16 @@ class Comparison:
     """Two runs, compared.
 
     Args:
-        origins: what of the manifests differs: log, configuration, versions, machine.
+        origins: what of the manifests differs: log, settings, cost model, versions, machine.
         divergence: the first difference of the ledgers; None where they are equal.
+        passed_over: what only one of the ledgers has up to there, as its version writes it.
         tensors: each tensor of the final maps that differs, and by how much.
     """
 
     origins: list[str]
     divergence: Divergence | None
-    tensors: dict[str, str]
+    passed_over: list[str]
+    tensors: dict[str, TensorDifference]
 
     @property
     def is_same(self) -> bool:
@@ -75,82 +45,95 @@ class Comparison:
 
 
 def compare_runs(first: Path, second: Path) -> Comparison:
-    """Compare two finished runs; raises a ProgroundError where one is none."""
+    """Compare two finished runs.
+
+    Raises:
+        ProgroundError: one is no finished run, or the two have nothing in common.
+    """
     a, b = (RunFolder(path).require_finished() for path in (first, second))
-    origins = _origins(Manifest.read(a.manifest), Manifest.read(b.manifest))
-    return Comparison(origins, _first_divergence(a.ledger, b.ledger), _tensor_differences(a, b))
+    origins = origins_of(a, b)
+    divergence, passed_over = first_divergence(read_ledger(a.ledger), read_ledger(b.ledger))
+    if divergence is not None:
+        require_common(a, b)
+    return Comparison(origins, divergence, passed_over, _map_differences(a, b))
 
 
-def _origins(a: Manifest, b: Manifest) -> list[str]:
-    """Differences of what made the runs, a line each."""
-    parts: list[str] = []
-    first, second = dataclasses.asdict(a), dataclasses.asdict(b)
-    for name in ("log_sha256", "config", "code_version", "packages", "machine"):
-        parts += _differences(name, first[name], second[name])
-    return parts
+def compare_all(first: Path, second: Path) -> list[DifferenceRow]:
+    """All that differs between the ledgers of two comparable runs."""
+    a, b = RunFolder(first), RunFolder(second)
+    return difference_table(read_ledger(a.ledger), read_ledger(b.ledger))
+
+
+def origins_of(a: RunFolder, b: RunFolder) -> list[str]:
+    """Differences of what made two runs, a line each."""
+    first, second = ({**_manifest(run)} for run in (a, b))
+    for name in NO_ORIGIN:
+        first.pop(name, None), second.pop(name, None)
+    lines: list[str] = []
+    for name in [*first, *(name for name in second if name not in first)]:
+        lines += _differences(name, first.get(name, ABSENT), second.get(name, ABSENT))
+    return lines
+
+
+def _manifest(run: RunFolder) -> dict[str, Any]:
+    """A manifest's content, whatever its version."""
+    try:
+        content = json.loads(require_file(run.manifest).read_text())
+    except ValueError as error:
+        content = error
+    if not isinstance(content, dict):
+        raise ProgroundError(
+            f"cannot be read as a manifest ({content!r:.80})",
+            where=run.manifest,
+            todo="run the replay again",
+        )
+    return content
 
 
 def _differences(name: str, first: object, second: object) -> list[str]:
     if isinstance(first, dict) and isinstance(second, dict):
         lines = []
         for key in [*first, *(k for k in second if k not in first)]:
-            lines += _differences(f"{name}.{key}", first.get(key), second.get(key))
+            lines += _differences(f"{name}.{key}", first.get(key, ABSENT), second.get(key, ABSENT))
         return lines
     return [] if first == second else [f"{name}: {first} | {second}"]
 
 
-def _first_divergence(first: Path, second: Path) -> Divergence | None:
-    frame = step = None
-    pairs = zip_longest(read_ledger(first), read_ledger(second))
-    for line, (a, b) in enumerate(pairs, start=1):
-        if a is None or b is None:
-            longer, shorter = ("first", "second") if b is None else ("second", "first")
-            details = [f"the {shorter} run ends here, the {longer} goes on"]
-            return Divergence(line, frame, step, "schedule", details)
-        frame, step = a.get("frame", frame), a.get("step", step)
-        if a == b:
-            continue
-        fields = [name for name in CAUSES if a.get(name) != b.get(name)]
-        details = [text for name in fields for text in _field_details(name, a, b)]
-        return Divergence(line, frame, step, CAUSES[fields[0]], details)
-    return None
+def require_common(a: RunFolder, b: RunFolder) -> None:
+    """Raise a ProgroundError where two runs saw no frame in common."""
+    first, second = _inputs(a), _inputs(b)
+    common = first.keys() & second.keys()
+    where = f"{a.path} and {b.path}"
+    if not common:
+        raise ProgroundError(
+            "no frame is in both runs", where=where, todo="compare runs of the same frames"
+        )
+    logs = [_manifest(run).get("log_sha256") for run in (a, b)]
+    if logs[0] != logs[1] and all(first[frame] != second[frame] for frame in common):
+        raise ProgroundError(
+            f"the runs are of different logs: none of {len(common)} frames is the same in both",
+            where=where,
+            todo="compare runs of one log",
+        )
 
 
-def _field_details(name: str, a: dict[str, Any], b: dict[str, Any]) -> list[str]:
-    first, second = a.get(name), b.get(name)
-    if name == "losses" and isinstance(first, dict) and isinstance(second, dict):
-        lines = []
-        for term in [*first, *(t for t in second if t not in first)]:
-            if term not in first or term not in second:
-                lines.append(f"loss {term}: only in one run")
-            elif first[term] != second[term]:
-                x, y = bits_float(first[term]), bits_float(second[term])
-                ulp = ulp_distance(np.float32(x), np.float32(y))
-                lines.append(f"loss {term}: {x:.9g} | {y:.9g} ({ulp} ulp)")
-        return lines
-    return _differences(name, first, second)
+def _inputs(run: RunFolder) -> dict[int, str | None]:
+    """The fingerprint of each frame that arrived; None where the mapper never saw it."""
+    arrivals = (e for e in read_ledger(run.ledger) if e["event"] in ("frame", "dropped"))
+    return {entry["frame"]: entry.get("input") for entry in arrivals}
 
 
-def ulp_distance(first: np.ndarray | np.float32, second: np.ndarray | np.float32) -> int:
-    """Largest number of float32 values between corresponding elements."""
-    distance = np.abs(_ordered(first) - _ordered(second))
-    return int(distance.max(initial=0))
+def _map_differences(a: RunFolder, b: RunFolder) -> dict[str, TensorDifference]:
+    return tensor_differences(_map_tensors(a.map), _map_tensors(b.map))
 
 
-def _ordered(values: np.ndarray | np.float32) -> np.ndarray:
-    """Whole numbers that count up with float32 values, int64."""
-    bits = np.atleast_1d(values).astype(np.float32).view(np.int32).astype(np.int64)
-    return np.where(bits < 0, -(bits & 0x7FFFFFFF), bits)
-
-
-def _tensor_differences(a: RunFolder, b: RunFolder) -> dict[str, str]:
-    first = dict(load_map(a.map).field.named_parameters())
-    second = dict(load_map(b.map).field.named_parameters())
-    differences = {}
-    for name, tensor in first.items():
-        x, y = tensor.detach().numpy(), second[name].detach().numpy()
-        if x.shape != y.shape:
-            differences[name] = f"shape {x.shape} | {y.shape}"
-        elif distance := ulp_distance(x, y):
-            differences[name] = f"{int((x != y).sum())} of {x.size} values, up to {distance} ulp"
-    return differences
+def _map_tensors(path: Path) -> dict[str, np.ndarray]:
+    """The tensors of a map as they are on disk, by name; those of the field by its own names."""
+    try:
+        with safe_open(require_file(path), framework="numpy") as file:
+            names = sorted(file.keys())
+            return {name.removeprefix("field/"): file.get_tensor(name) for name in names}
+    except SafetensorError as error:
+        raise ProgroundError(
+            f"cannot be read as a map ({error})", where=path, todo="run the replay again"
+        ) from error

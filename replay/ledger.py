@@ -15,7 +15,10 @@ from proground_log.events import (
     Event,
     FrameArrived,
     FrameDone,
+    FrameDropped,
+    FrameScheduled,
     KeyframeInserted,
+    RegionsArrived,
     StateDigested,
     StepDone,
 )
@@ -50,6 +53,32 @@ def entry_of(event: Event) -> dict[str, Any] | None:
                 "sim_time_ns": event.sim_time_ns,
                 "input": event.input_digest,
                 "held_out": event.held_out,
+            }
+        case FrameDropped():
+            return {
+                "event": "dropped",
+                "frame": event.frame_index,
+                "sim_time_ns": event.sim_time_ns,
+                "reason": event.reason,
+            }
+        case RegionsArrived():
+            return {
+                "event": "regions",
+                "frame": event.frame_index,
+                "begin_ns": event.begin_ns,
+                "sim_time_ns": event.sim_time_ns,
+            }
+        case FrameScheduled():
+            return {
+                "event": "scheduled",
+                "frame": event.frame_index,
+                "sim_time_ns": event.sim_time_ns,
+                "arrived_ns": event.arrived_ns,
+                "idle_ns": event.idle_ns,
+                "waiting": event.waiting,
+                "steps": event.steps,
+                "overrun_ns": event.overrun_ns,
+                "spans": {stage: list(span) for stage, span in event.spans.items()},
             }
         case KeyframeInserted():
             return {

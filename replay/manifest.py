@@ -27,9 +27,10 @@ from proground_log.mapping.config import (
     SemanticsConfig,
 )
 from proground_log.perception.description import PerceptionDescription
-from replay.config import ReplayConfig, TelemetryConfig
+from replay.config import ReplayConfig, SimulationConfig, TelemetryConfig
+from replay.cost_model import CostModel
 
-MANIFEST_VERSION = 1
+MANIFEST_VERSION = 2
 PACKAGES = (
     "mcap",
     "numba",
@@ -50,6 +51,7 @@ class Manifest:
         log_path: where the log was.
         log_sha256: its bytes' fingerprint.
         config: the settings.
+        cost_model: what stages take in simulated time, scaled.
         code_version: of proground-log.
         packages: versions of those that can reach a result.
         machine: processor, its capability as torch sees it, and device.
@@ -61,6 +63,7 @@ class Manifest:
     log_path: str
     log_sha256: str
     config: ReplayConfig
+    cost_model: CostModel
     code_version: str
     packages: dict[str, str]
     machine: dict[str, str]
@@ -73,6 +76,7 @@ class Manifest:
         cls,
         log_path: Path,
         config: ReplayConfig,
+        cost_model: CostModel,
         device: str,
         perception: PerceptionDescription | None,
     ) -> Manifest:
@@ -81,6 +85,7 @@ class Manifest:
             log_path=str(log_path.resolve()),
             log_sha256=file_sha256(log_path),
             config=config,
+            cost_model=cost_model,
             code_version=__version__,
             packages={name: version(name) for name in PACKAGES},
             machine={
@@ -94,7 +99,11 @@ class Manifest:
 
     def write(self, path: Path) -> None:
         """Write it as JSON, whole or not at all."""
-        content = {"manifest_version": MANIFEST_VERSION, **dataclasses.asdict(self)}
+        content = {
+            "manifest_version": MANIFEST_VERSION,
+            **dataclasses.asdict(self),
+            "cost_model": self.cost_model.to_json(),
+        }
         with written_whole(path) as temporary:
             temporary.write_text(json.dumps(content, indent=2) + "\n")
 
@@ -111,7 +120,11 @@ class Manifest:
                     where=path,
                     todo="run the replay again with this version of pglog",
                 )
-            return cls(**{**content, "config": config_from_dict(content["config"])})
+            made_of = {
+                "config": config_from_dict(content["config"]),
+                "cost_model": CostModel.from_json(content["cost_model"], where=path),
+            }
+            return cls(**{**content, **made_of})
         except (ValueError, KeyError, TypeError) as error:
             raise ProgroundError(
                 f"cannot be read as a manifest ({error!r})", where=path, todo="run the replay again"
@@ -139,6 +152,7 @@ def config_from_dict(content: dict[str, Any]) -> ReplayConfig:
         **{
             **content,
             "selection": Selection(**content["selection"]),
+            "simulation": SimulationConfig(**content["simulation"]),
             "telemetry": TelemetryConfig(**content["telemetry"]),
             "mapper": MapperConfig(
                 **{

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from proground_log.errors import ProgroundError
-from proground_log.files import written_whole
+from proground_log.files import disk_errors, written_whole
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,25 @@ class RunFolder:
     @property
     def checkpoint(self) -> Path:
         return self.path / "checkpoint.safetensors"
+
+    @property
+    def checkpoints(self) -> Path:
+        """Folder of those that were kept."""
+        return self.path / "checkpoints"
+
+    def keep_checkpoint(self, frames: int) -> None:
+        """Keep the newest checkpoint, taken after so many frames were read."""
+        kept = self.checkpoints / f"frame_{frames:06}.safetensors"
+        with disk_errors(kept):
+            self.checkpoints.mkdir(exist_ok=True)
+            kept.unlink(missing_ok=True)
+            # A checkpoint is never written to, so that both names may mean the same bytes.
+            kept.hardlink_to(self.checkpoint)
+
+    def kept_checkpoints(self) -> dict[int, Path]:
+        """All of them by the number of frames read."""
+        files = sorted(self.checkpoints.glob("frame_*.safetensors"))
+        return {int(file.stem.removeprefix("frame_")): file for file in files}
 
     @property
     def partial_ledger(self) -> Path:
@@ -71,8 +91,11 @@ class RunFolder:
     def clear(self) -> None:
         """Remove every file of a run, finished or not."""
         known = [self.manifest, self.ledger, self.map, self.telemetry, self.checkpoint]
-        for file in [*known, self.partial_ledger, *self.telemetry_segments()]:
+        kept = self.kept_checkpoints().values()
+        for file in [*known, self.partial_ledger, *self.telemetry_segments(), *kept]:
             file.unlink(missing_ok=True)
+        if self.checkpoints.is_dir() and not any(self.checkpoints.iterdir()):
+            self.checkpoints.rmdir()
 
 
 @dataclass(frozen=True)
@@ -80,22 +103,22 @@ class Checkpoint:
     """Where an unfinished run goes on.
 
     Args:
-        arrived: frames that have arrived, mapped or held out.
-        mapped: frames mapped.
+        turns: frames read, mapped or held out.
         steps: steps done.
         ledger_lines: lines of the ledger up to here.
-        start_ns: time of the first frame, where simulated time begins.
+        telemetry_bytes: length of each telemetry segment up to here.
         camera_m: where the camera was last.
+        simulation: the totals of simulated time so far.
         seconds: machine time by stage so far.
         state: the mapper's, by name.
     """
 
-    arrived: int
-    mapped: int
+    turns: int
     steps: int
     ledger_lines: int
-    start_ns: int
+    telemetry_bytes: list[int]
     camera_m: list[float]
+    simulation: dict[str, Any]
     seconds: dict[str, float]
     state: dict[str, np.ndarray]
 

@@ -11,7 +11,20 @@ from collections.abc import Callable
 
 import tyro
 
-from proground_log.cli import ablate, demo, logs, outward, perception, query, runs
+from proground_log.cli import (
+    ablate,
+    bisect,
+    calibrate,
+    demo,
+    diff,
+    logs,
+    outward,
+    perception,
+    query,
+    rerun,
+    runs,
+    sweep,
+)
 from proground_log.cli.common import FAILED, STOPPED
 from proground_log.errors import ProgroundError
 
@@ -20,11 +33,15 @@ COMMANDS: dict[str, Callable[..., int]] = {
     "info": logs.info_command,
     "check": logs.check_command,
     "perceive": perception.perceive_command,
+    "calibrate": calibrate.calibrate_command,
     "replay": runs.replay_command,
-    "diff": runs.diff_command,
+    "rerun": rerun.rerun_command,
+    "diff": diff.diff_command,
+    "bisect": bisect.bisect_command,
     "evaluate": runs.evaluate_command,
     "query": query.query_command,
     "ablate": ablate.ablate_command,
+    "sweep": sweep.sweep_command,
     "export": outward.export_command,
     "view": outward.view_command,
     "demo": demo.demo_command,

@@ -1,4 +1,4 @@
-"""Commands about runs: replay, diff, evaluate."""
+"""Commands about runs: replay, evaluate."""
 
 from __future__ import annotations
 
@@ -9,22 +9,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
+from rich.table import Table
+from tyro.conf import Positional
 
 from proground_log.cli.common import (
-    DIFFERENT,
     SAME,
     STOPPED,
     AsJson,
-    Log,
     MaybeInt,
     MaybePath,
     Output,
     Run,
     err,
+    out,
     print_table,
     shown_progress,
 )
+from proground_log.cli.pause import TerminalPause
 from proground_log.cli.perceivers import PerceptionOptions, perceiver_of_replay
+from proground_log.cli.rerun import rerun_command
 from proground_log.errors import ProgroundError
 from replay.config import ReplayConfig
 
@@ -34,47 +37,84 @@ if TYPE_CHECKING:
 
 
 def replay_command(
-    log: Log,
+    log: Annotated[Path | None, Positional, tyro.conf.arg(metavar="LOG")] = None,
     *,
     output: Output,
     config: Annotated[ReplayConfig, tyro.conf.arg(name="")] = ReplayConfig(),
     perception: Annotated[PerceptionOptions, tyro.conf.arg(name="")] = PerceptionOptions(),
     threads: MaybeInt = None,
     resume: bool = False,
+    from_checkpoint: MaybePath = None,
+    until_frame: MaybeInt = None,
+    pause_at: Annotated[tuple[int, ...], tyro.conf.arg(metavar="FRAME ...")] = (),
+    manifest: MaybePath = None,
+    check: bool = False,
     overwrite: bool = False,
 ) -> int:
     """Replay a log through the online mapper.
 
     Args:
-        log: the log (.mcap).
+        log: the log (.mcap); with --manifest it is found where the run found it.
         output: folder of the run.
         config: settings.
         perception: how regions are found, for a log that has none yet.
         threads: compute on so many; the result is the same for any number.
         resume: go on with an interrupted run, with the run's own settings.
+        from_checkpoint: begin at a kept checkpoint of a run of this log.
+        until_frame: stop after this frame; --resume goes on.
+        pause_at: pause after these frames.
+        manifest: run this run again (a manifest.json), with its own settings.
+        check: with it: compare with its ledger, and stop at the first difference (exit code 1).
         overwrite: replace a run that is there.
     """
     from proground_log.log.reader import LogReader
     from replay.device import set_threads
     from replay.session import ReplayStoppedError, replay
 
+    if manifest is not None:
+        _require_own_settings(config, from_checkpoint, resume)
+        return rerun_command(
+            manifest,
+            output=output,
+            check=check,
+            log=log,
+            perception=perception,
+            threads=threads,
+            until_frame=until_frame,
+            overwrite=overwrite,
+        )
+    if log is None or check:
+        missing = "--manifest" if check else "LOG"
+        raise ProgroundError(f"{missing} is missing", where="replay", todo="give it")
     set_threads(threads)
-    perceiver = perceiver_of_replay(LogReader(log), perception)
+    pause = TerminalPause(pause_at) if pause_at else None
     try:
-        manifest = replay(
+        result = replay(
             log,
             output,
             config,
             resume=resume,
+            start=from_checkpoint,
             overwrite=overwrite,
-            perceiver=perceiver,
+            perceiver=perceiver_of_replay(LogReader(log), perception),
             watchers=_progress_watcher,
+            until_frame=until_frame,
+            pause=pause,
         )
     except ReplayStoppedError as stop:
         print(f"pglog: {stop}", file=sys.stderr)
-        return STOPPED
-    _print_summary(output, manifest)
+        return STOPPED if stop.is_interruption else SAME
+    print_summary(output, result)
     return SAME
+
+
+def _require_own_settings(config: ReplayConfig, start: Path | None, resume: bool) -> None:
+    if config != ReplayConfig() or start is not None or resume:
+        raise ProgroundError(
+            "--manifest brings its own settings",
+            where="replay",
+            todo="leave out all but LOG, -o, --check, --threads and the perception",
+        )
 
 
 def _progress_watcher(frames: int) -> list[Sink]:
@@ -83,40 +123,28 @@ def _progress_watcher(frames: int) -> list[Sink]:
     return [ProgressSink(frames, err)]
 
 
-def _print_summary(run: Path, manifest: Manifest) -> None:
-    rows = {}
-    for name, value in (manifest.result or {}).items():
-        if isinstance(value, dict):
-            value = ", ".join(f"{key} {number}" for key, number in value.items())
-        rows[name] = str(value)
-    print_table(str(run), rows)
+def print_summary(run: Path, manifest: Manifest) -> None:
+    """The figures of a finished run, and simulated time beside the machine's."""
+    result = dict(manifest.result or {})
+    simulated, machine = (_figures(result.pop(name, {})) for name in ("simulation", "machine s"))
+    print_table(str(run), {name: str(value) for name, value in result.items()})
+    model = manifest.cost_model
+    stages = Table("seconds", f"simulated ({model.name})", "this machine")
+    for stage, seconds in machine.items():
+        stages.add_row(stage, _seconds(simulated.pop(f"{stage} s", None)), _seconds(seconds))
+    stages.add_row("idle", _seconds(simulated.pop("idle s", None)), "")
+    out.print(stages)
+    # What the first table has already.
+    rest = {name: str(value) for name, value in simulated.items() if name not in result}
+    print_table("simulated schedule", rest)
 
 
-def diff_command(first: Run, second: Run) -> int:
-    """Name the first step at which two runs differ, and in what. Exit code 1 if they do.
+def _figures(part: object) -> dict[str, float]:
+    return dict(part) if isinstance(part, dict) else {}
 
-    Args:
-        first: folder of a run.
-        second: folder of another.
-    """
-    from replay.diff import compare_runs
 
-    comparison = compare_runs(first, second)
-    for origin in comparison.origins:
-        print(origin)
-    divergence = comparison.divergence
-    if divergence is not None:
-        print(
-            f"first difference: {divergence.cause}, at frame {divergence.frame}, "
-            f"step {divergence.step} (ledger line {divergence.line})"
-        )
-        for detail in divergence.details:
-            print(f"  {detail}")
-    for name, difference in comparison.tensors.items():
-        print(f"final {name}: {difference}")
-    if comparison.is_same:
-        print("the runs are equal, bit for bit")
-    return SAME if comparison.is_same else DIFFERENT
+def _seconds(value: float | None) -> str:
+    return "" if value is None else f"{value:.3f}"
 
 
 def evaluate_command(

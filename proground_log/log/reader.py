@@ -182,6 +182,10 @@ class LogReader:
                 todo="see `pglog check`, or record it again",
             )
 
+    def stamps_ns(self) -> list[int]:
+        """The time of each frame; nothing but that is decoded."""
+        return [group[0][2].log_time for group in self.groups()]
+
     def frames(self, chosen: Sequence[int] | None = None) -> Iterator[SensorFrame]:
         """The frames of these numbers (ascending), or all; only they are decoded."""
         wanted = iter(range(len(self)) if chosen is None else chosen)

@@ -73,8 +73,6 @@ class BufferConfig:
 
     capacity: int = 1_000_000
     """Most samples held."""
-    keyframe_every: int = 2
-    """Every so many mapped frames, one becomes a keyframe."""
     keyframe_samples: int = 10_000
     """Pixels kept of a keyframe."""
     place_m: float = 0.25

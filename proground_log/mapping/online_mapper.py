@@ -88,20 +88,14 @@ class OnlineMapper:
             self.semantics = SemanticLearner(config, perception, self.averaged, seed)
         self._frame: Frame | None = None
         self.pixels = np.zeros(0, np.int64)
-        self._mapped = 0
         self._iteration = 0
         self._steps = 0
 
-    def insert(self, frame: Frame) -> KeyframeInserted | None:
-        """Make `frame` the current one; every so many frames it becomes a keyframe."""
+    def insert(self, frame: Frame, *, is_keyframe: bool = True) -> KeyframeInserted | None:
+        """Make `frame` the current one; samples of a keyframe are remembered."""
         self._frame, self._iteration = frame, 0
         self.observed.add(frame)
-        usable = (frame.depth_m > 0) & frame.color_valid
-        candidates = np.flatnonzero(usable)
-        points_m = ray_samples(frame, candidates).points_m()
-        self.pixels = candidates[self.bounds.contains(points_m)]
-        is_keyframe = self._mapped % self.config.buffer.keyframe_every == 0
-        self._mapped += 1
+        self.pixels = self._usable_pixels(frame)
         if self.semantics is not None:
             self.semantics.insert(frame, self.pixels)
         if not is_keyframe or not len(self.pixels):
@@ -111,6 +105,17 @@ class OnlineMapper:
         chosen = np.sort(random.choice(self.pixels, size=count, replace=False))
         evicted = self.buffer.insert(frame.index, ray_samples(frame, chosen), random)
         return KeyframeInserted(frame.index, inserted=count, evicted=evicted)
+
+    def insert_regions(self, frame: Frame) -> None:
+        """Learn what a frame means that was inserted before it was known."""
+        if self.semantics is not None:
+            self.semantics.insert(frame, self._usable_pixels(frame))
+
+    def _usable_pixels(self, frame: Frame) -> np.ndarray:
+        """Flat numbers of the pixels with depth and colour, within the bounds."""
+        candidates = np.flatnonzero((frame.depth_m > 0) & frame.color_valid)
+        points_m = ray_samples(frame, candidates).points_m()
+        return candidates[self.bounds.contains(points_m)]
 
     def step(self) -> StepResult | None:
         """One optimisation step; None where neither the frame nor the buffer has a sample."""
@@ -243,7 +248,7 @@ class OnlineMapper:
         state["observed/voxels"] = np.packbits(self.observed.voxels)
         for name, parameter in self.averaged.named_parameters():
             state[f"averaged/{name}"] = parameter.detach().cpu().numpy()
-        state["mapped"] = np.array([self._mapped, self._steps])
+        state["steps"] = np.array([self._steps])
         if self.semantics is not None:
             state |= {f"semantics/{name}": a for name, a in self.semantics.state().items()}
         return state
@@ -258,7 +263,7 @@ class OnlineMapper:
         with torch.no_grad():
             for name, parameter in self.averaged.named_parameters():
                 parameter.copy_(torch.from_numpy(averaged[name]))
-        self._mapped, self._steps = (int(count) for count in state["mapped"])
+        self._steps = state["steps"].item()
         if self.semantics is not None:
             self.semantics.restore(under("semantics", state))
         self._frame = None

@@ -19,6 +19,7 @@ HEADS = ("label", "scale", "background", "uncertainty")
 """The scores of `SemanticScores`."""
 SEMANTIC_BUFFER = ("semantic_samples", "background", "semantic_inserted", "semantic_evicted")
 """Figures of the memory of meaning that are of one order."""
+LANES_SHOWN_S = 5
 COLOR_AND_DEPTH = {
     f"{which}/{what}": f"{title}: {which}"
     for what, title in (("color", "Colour"), ("depth", "Depth"))
@@ -56,11 +57,12 @@ def replay_blueprint(*, with_semantics: bool = False) -> rrb.Blueprint:
     if with_semantics:
         documents.append(rrb.TextDocumentView(origin="task", name="Task"))
     return rrb.Blueprint(
-        rrb.Tabs(replay, *documents, active_tab=0),
+        rrb.Tabs(replay, _budget(), *documents, active_tab=0),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        # Following puts the cursor at the end: the newest frame and the finished map.
-        rrb.TimePanel(state="collapsed", timeline="frame", play_state="following"),
+        # Following puts the cursor at the end: the newest frame and the finished map. All views
+        # share the timeline, and a lane is one on simulated time alone.
+        rrb.TimePanel(state="collapsed", timeline="sim_time", play_state="following"),
     )
 
 
@@ -208,13 +210,49 @@ def _buffer_plot(
     )
 
 
-def _log() -> rrb.TextLogView:
+def _budget() -> rrb.Vertical:
+    """The schedule: stages as lanes on top, figures of each frame below."""
+    lanes = rrb.TimeSeriesView(
+        origin="budget/lane",
+        name=f"Stages: the {LANES_SHOWN_S} s of simulated time before the cursor",
+        plot_legend=rrb.Corner2D.LeftTop,
+        time_ranges=rr.VisibleTimeRange(
+            "sim_time",
+            start=rrb.TimeRangeBoundary.cursor_relative(seconds=-LANES_SHOWN_S),
+            end=rrb.TimeRangeBoundary.cursor_relative(),
+        ),
+    )
+    spent = rrb.TimeSeriesView(
+        origin="budget/spent_ms", name="Spent on a frame: ms", plot_legend=rrb.Corner2D.LeftTop
+    )
+    lag = _budget_plot("Lag, idle, overrun: ms", "lag_ms", "idle_ms", "overrun_ms")
+    counts = rrb.Horizontal(
+        _budget_plot("Queue: frames", "queue"),
+        _budget_plot("Steps of a frame", "steps"),
+        _budget_plot("Dropped so far: frames", "dropped"),
+        _log("Drops", ["WARN", "ERROR"]),
+    )
+    return rrb.Vertical(
+        lanes, rrb.Horizontal(lag, spent), counts, row_shares=[3, 2, 2], name="Budget"
+    )
+
+
+def _budget_plot(name: str, *entities: str) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(
+        origin="budget",
+        contents=[f"/budget/{entity}" for entity in entities],
+        name=name,
+        plot_legend=rrb.Corner2D.LeftTop,
+    )
+
+
+def _log(name: str = "Log", levels: Sequence[str] = ("INFO", "WARN", "ERROR")) -> rrb.TextLogView:
     return rrb.TextLogView(
         origin="log",
-        name="Log",
+        name=name,
         columns=rrb.TextLogColumns(
             text_log_columns=[TextLogColumnKind.LogLevel, TextLogColumnKind.Body]
         ),
         # The fingerprint of every input and each keyframe's evictions are for a search.
-        rows=rrb.TextLogRows(filter_by_log_level=["INFO", "WARN", "ERROR"]),
+        rows=rrb.TextLogRows(filter_by_log_level=levels),
     )

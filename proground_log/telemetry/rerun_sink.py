@@ -24,6 +24,7 @@ from proground_log.events import (
 from proground_log.files import disk_errors
 from proground_log.telemetry import images
 from proground_log.telemetry.blueprint import APPLICATION_ID, SEMANTIC_LOSSES, replay_blueprint
+from proground_log.telemetry.budget import BudgetDrawing
 from proground_log.telemetry.columns import Moment, ScalarColumns
 from proground_log.telemetry.documents import summary_document
 from proground_log.telemetry.palette import CURVE_COLORS, TOTAL_COLOR
@@ -52,6 +53,7 @@ class TelemetrySink:
         depth_far_m: depth at the end of the colour map, for all depth views of the recording.
         steps_done: optimisation steps that earlier segments hold.
         last_position_m: where the camera was at the end of the earlier segments, [3].
+        dropped_before: dropped frames that earlier segments tell of.
     """
 
     def __init__(
@@ -62,6 +64,7 @@ class TelemetrySink:
         depth_far_m: float = 5.0,
         steps_done: int = 0,
         last_position_m: np.ndarray | None = None,
+        dropped_before: int = 0,
     ) -> None:
         self._path = path
         self._depth_far_m = depth_far_m
@@ -77,6 +80,7 @@ class TelemetrySink:
         self._scalars = ScalarColumns(self._recording)
         self._styled: set[str] = set()
         self._has_blueprint = False
+        self._budget = BudgetDrawing(self._recording, self._scalars, dropped_before)
         self._semantics: SemanticDrawing | None = None
 
     def on_event(self, event: Event) -> None:
@@ -88,6 +92,7 @@ class TelemetrySink:
             self._recording.send_blueprint(blueprint)
             self._has_blueprint = True
         self._draw(event)
+        self._budget.on_event(event, self._now)
         if self._semantics is not None:
             self._semantics.on_event(event, self._now)
         if isinstance(event, FrameDone):

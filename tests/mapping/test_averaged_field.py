@@ -17,7 +17,7 @@ from proground_log.mapping.config import BufferConfig, MapperConfig, SamplingCon
 from proground_log.mapping.map_file import load_map
 from proground_log.mapping.online_mapper import OnlineMapper
 from proground_log.perception.of_log import perception_of
-from replay.config import ReplayConfig, TelemetryConfig
+from replay.config import ReplayConfig, SimulationConfig, TelemetryConfig
 from replay.session import replay
 from tests.mapping.test_online_mapper import BOUNDS, wall_frame
 from tests.regions import write_perceived_log
@@ -25,7 +25,7 @@ from tests.regions import write_perceived_log
 SMALL = MapperConfig(
     field=FieldConfig(log2_rows=8, levels=4, voxel_m=0.1),
     sampling=SamplingConfig(rays=32, uniform=4, near_surface=3),
-    buffer=BufferConfig(capacity=500, keyframe_every=2, keyframe_samples=60),
+    buffer=BufferConfig(capacity=500, keyframe_samples=60),
 )
 
 
@@ -114,7 +114,14 @@ def test_it_gets_no_gradient_and_leaves_the_field_its_own() -> None:
 def test_the_map_of_a_replay_is_the_averaged_field_with_its_heads(tmp_path: Path) -> None:
     log = write_perceived_log(tmp_path / "log.mcap")
     telemetry = TelemetryConfig(enabled=False)
-    config = ReplayConfig(steps=6, seed=3, device="cpu", mapper=SMALL, telemetry=telemetry)
+    config = ReplayConfig(
+        steps=6,
+        seed=3,
+        device="cpu",
+        simulation=SimulationConfig(keyframe_every=1),
+        mapper=SMALL,
+        telemetry=telemetry,
+    )
     replay(log, tmp_path / "run", config)
     saved = load_map(tmp_path / "run" / "map.safetensors")
 

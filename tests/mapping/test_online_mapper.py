@@ -23,7 +23,7 @@ WALL_M = 2.0
 CONFIG = MapperConfig(
     field=FieldConfig(log2_rows=12, levels=8, voxel_m=0.05),
     sampling=SamplingConfig(rays=256, uniform=12, near_surface=7),
-    buffer=BufferConfig(capacity=2000, keyframe_every=2, keyframe_samples=300),
+    buffer=BufferConfig(capacity=2000, keyframe_samples=300),
 )
 
 

@@ -33,7 +33,7 @@ from tests.mapping.test_online_mapper import BOUNDS, CAMERA, WALL_M, wall_frame
 CONFIG = MapperConfig(
     field=FieldConfig(log2_rows=12, levels=8, voxel_m=0.05),
     sampling=SamplingConfig(rays=256, uniform=12, near_surface=7),
-    buffer=BufferConfig(capacity=2000, keyframe_every=2, keyframe_samples=300),
+    buffer=BufferConfig(capacity=2000, keyframe_samples=300),
     semantics=SemanticsConfig(capacity=1500, frame_rays=400),
 )
 TASK = Task("two things", ("stove", "fridge"), ("cat",), Thresholds(relevance=0.4))

@@ -14,24 +14,15 @@ from proground_log.errors import ProgroundError
 from proground_log.log.reader import LogReader
 from proground_log.mapping.map_file import load_map
 from proground_log.perception.builtin_texts import BuiltinTexts
-from proground_log.perception.of_log import task_of_labels
 from proground_log.perception.perceive import perceive
-from proground_log.perception.simulated import SimulatedPerception
 from replay.ablate import Variant, run_variants, weighting_and_filtering
 from replay.config import ReplayConfig
 from replay.evaluate import evaluate_run
 from replay.ledger import read_ledger
 from replay.run_folder import RunFolder
 from replay.session import ReplayStoppedError, replay
-from tests.replay.test_determinism import SMALL, SMALL_FLAGS, StopAfter, ledger_bytes
-
-
-def perceiver_of(log: Path, *, cushions: bool = True) -> SimulatedPerception:
-    reader = LogReader(log)
-    task = task_of_labels(reader, BuiltinTexts().knows)
-    if not cushions:
-        task = replace(task, prompts=tuple(p for p in task.prompts if p != "cushion"))
-    return SimulatedPerception(task, reader.label_names, reader.calibration.color, 0)
+from tests.replay.golden import SMALL, perceiver_of
+from tests.replay.test_determinism import SMALL_FLAGS, StopAfter, ledger_bytes
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +81,7 @@ def test_semantics_leave_geometry_and_colour_as_they_are(
     room_log: Path, seen_run: Path, tmp_path: Path
 ) -> None:
     replay(room_log, tmp_path / "run", SMALL)
-    geometry = ("field", "averaged", "optimiser", "buffer", "observed", "mapped")
+    geometry = ("field", "averaged", "optimiser", "buffer", "observed", "steps")
     states = []
     for run in (seen_run, tmp_path / "run"):
         entries = [e for e in read_ledger(RunFolder(run).ledger) if e["event"] == "state"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -14,8 +15,11 @@ from proground_log.events import (
     Event,
     FrameArrived,
     FrameDone,
+    FrameDropped,
+    FrameScheduled,
     KeyframeInserted,
     MeshExtracted,
+    RegionsArrived,
     RunFinished,
     SemanticScores,
     SemanticStatistics,
@@ -27,10 +31,22 @@ from proground_log.events import (
     ViewRendered,
 )
 from proground_log.frame import Frame
+from replay.scheduler import Drop, Policy, Slot, Timing, schedule
 
 CAMERA = Camera(64, 48, 60.0, 60.0, 32.0, 24.0)
 STEPS_PER_FRAME = 3
 FRAME_NS = 100_000_001
+TIMING = Timing(decode_ns=3_000_001, perceive_ns=41_000_003, insert_ns=2_000_007, step_ns=7_000_003)
+INGEST_NS = TIMING.decode_ns + TIMING.insert_ns
+UNHURRIED = Policy(
+    budget_ns=None,
+    steps=STEPS_PER_FRAME,
+    lock_step=False,
+    queue=1,
+    overrun="wait",
+    perceive_every=2,
+)
+"""Every frame is mapped as soon as it arrives, and there is time to spare."""
 CAPACITY = 100
 TASK = TaskKnown(
     "breakfast",
@@ -125,15 +141,43 @@ def view(index: int, task: TaskKnown | None = None) -> ViewRendered:
     )
 
 
-def of_frame(index: int, task: TaskKnown | None = None) -> Iterator[Event]:
-    """All events of one frame."""
-    held_out = index % 4 == 3
-    begin_ns = index * FRAME_NS
+def of_frames(
+    indices: range, task: TaskKnown | None = None, policy: Policy = UNHURRIED
+) -> Iterator[Event]:
+    """All events of some frames of a replay from 0; with a task, those of meaning too.
+
+    Args:
+        indices: the frames that are mapped or dropped here.
+        task: told first; None where there is none.
+        policy: what is done with frames that arrive too fast.
+    """
+    if task is not None:
+        yield task
+    step = free_ns = 0
+    for slot in slots(indices.stop, policy):
+        if slot.frame in indices:
+            idle_ns = max(0, slot.begin_ns - free_ns)
+            yield from of_slot(slot, step, idle_ns, task, beside=policy.beside)
+        step += slot.steps
+        free_ns = slot.end_ns
+
+
+def slots(frames: int, policy: Policy) -> Iterator[Slot]:
+    """What the mapped ones of so many frames get."""
+    arrivals_ns = [index * FRAME_NS for index in range(frames)]
+    return schedule(range(frames), arrivals_ns, TIMING, policy)
+
+
+def of_slot(
+    slot: Slot, first_step: int, idle_ns: int, task: TaskKnown | None, *, beside: bool
+) -> Iterator[Event]:
+    """All events of a mapped frame, and of what else happened meanwhile."""
+    index = slot.frame
     world_from_camera = np.eye(4)
     world_from_camera[:3, 3] = position_m(index)
     frame = Frame(
         index=index,
-        stamp_ns=begin_ns,
+        stamp_ns=index * FRAME_NS,
         camera=CAMERA,
         world_from_camera=world_from_camera,
         depth_m=np.full((48, 64), 2.0, dtype=np.float32),
@@ -141,29 +185,50 @@ def of_frame(index: int, task: TaskKnown | None = None) -> Iterator[Event]:
         color_valid=np.ones((48, 64), dtype=bool),
         labels=None,
     )
-    yield FrameArrived(frame, begin_ns, f"{index:064x}", held_out)
+    yield FrameArrived(frame, slot.begin_ns, f"{index:064x}", index % 4 == 3)
     held = min(CAPACITY, 30 * (index + 1))
     yield KeyframeInserted(index, 30, 30 * (index + 1) - held)
-    for iteration in range(STEPS_PER_FRAME):
-        step = index * STEPS_PER_FRAME + iteration
-        now_ns = begin_ns + 7_000_003 * (iteration + 1)
+    steps_ns = slot.end_ns - slot.steps * TIMING.step_ns
+    for iteration in range(slot.steps):
+        step = first_step + iteration
+        now_ns = steps_ns + TIMING.step_ns * (iteration + 1)
         yield StepDone(index, step, iteration, now_ns, losses(step, task), "0" * 64, 8, 8)
+    for happening in slot.meanwhile:
+        if isinstance(happening, Drop):
+            yield FrameDropped(happening.frame, happening.at_ns, happening.reason)
+        else:
+            yield RegionsArrived(happening.frame, happening.begin_ns, happening.at_ns)
+    yield FrameScheduled(
+        frame_index=index,
+        sim_time_ns=slot.end_ns,
+        arrived_ns=slot.arrived_ns,
+        idle_ns=idle_ns,
+        waiting=slot.waiting,
+        steps=slot.steps,
+        overrun_ns=slot.overrun_ns,
+        spans=spans(slot, beside=beside),
+    )
     buffer = BufferStatistics(held, CAPACITY, index + 1, 5 + index, 7, 40 * held)
     memory = statistics(index, task) if task is not None else None
-    yield FrameDone(index, STEPS_PER_FRAME, begin_ns + 50_000_000, buffer, memory)
+    yield FrameDone(index, slot.steps, slot.end_ns, buffer, memory)
     if task is not None:
         yield scores(index)
     yield view(index, task)
     yield mesh(index, task)
-    yield StateDigested((index + 1) * STEPS_PER_FRAME, {"field/grid": f"{index:064x}"})
+    yield StateDigested(first_step + slot.steps, {"field/grid": f"{index:064x}"})
 
 
-def of_frames(indices: range, task: TaskKnown | None = None) -> Iterator[Event]:
-    """All events of some frames; with a task, which comes first, those of meaning too."""
-    if task is not None:
-        yield task
-    for index in indices:
-        yield from of_frame(index, task)
+def spans(slot: Slot, *, beside: bool) -> dict[str, tuple[int, int]]:
+    """Begin and end of the stages that a slot has."""
+    lengths = {
+        "decode": TIMING.decode_ns,
+        "perceive": TIMING.perceive_ns if slot.is_perceived and not beside else 0,
+        "insert": TIMING.insert_ns,
+        "step": slot.steps * TIMING.step_ns,
+    }
+    ends = np.cumsum([slot.begin_ns, *lengths.values()]).tolist()
+    pairs = zip(lengths, pairwise(ends), strict=True)
+    return {stage: (begin, end) for stage, (begin, end) in pairs if end > begin}
 
 
 FINISHED = RunFinished({"frames": 6, "psnr_db": 24.25, "stages": {"step_s": 1.5}})

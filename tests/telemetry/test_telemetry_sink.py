@@ -48,7 +48,7 @@ def test_every_loss_of_every_step_is_there_bit_for_bit(rows: Rows) -> None:
         assert values.tolist() == [stream.losses(step)[name] for step in range(steps)]
         assert times[:, 1].tolist() == list(range(steps))
         assert times[:, 0].tolist() == [step // stream.STEPS_PER_FRAME for step in range(steps)]
-    assert times[4].tolist() == [1, 4, stream.FRAME_NS + 2 * 7_000_003]
+    assert times[4].tolist() == [1, 4, stream.FRAME_NS + stream.INGEST_NS + 2 * 7_000_003]
 
 
 def test_more_steps_than_a_chunk_holds_arrive_whole(tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,7 +15,7 @@ import telemetry_stream as stream
 from proground_log.bounds import Bounds
 from proground_log.camera import Calibration
 from proground_log.errors import ProgroundError
-from proground_log.events import TaskKnown
+from proground_log.events import Event, TaskKnown
 from proground_log.frame import SensorFrame
 from proground_log.log.recording import Recording
 from proground_log.log.writer import open_writer
@@ -61,10 +63,12 @@ def assert_drawn(
         assert colourful > share, f"the view of the {name} is empty ({colourful:.4f})"
 
 
-def write_run(folder: Path, task: TaskKnown | None = None) -> None:
-    """A run's recording of three frames."""
+def write_run(
+    folder: Path, task: TaskKnown | None = None, events: Iterable[Event] | None = None
+) -> None:
+    """A run's recording, of three frames where no events are given."""
     sink = TelemetrySink(folder / "telemetry.rrd", recording_id="run")
-    for event in stream.of_frames(range(3), task):
+    for event in events or stream.of_frames(range(3), task):
         sink.on_event(event)
     sink.on_event(stream.FINISHED)
     sink.close()
@@ -140,6 +144,27 @@ def test_the_tabs_of_meaning_are_drawn(tmp_path: Path, monkeypatch: pytest.Monke
     }
     assert_drawn(picture, cells | {"map's labels": (0.02, 0.45, 0.12, 0.68)})
     assert_drawn(picture, {"semantic loss": (0.02, 0.18, 0.76, 0.94)}, share=0.003)
+
+
+@needs_vulkan
+def test_the_budget_tab_draws_the_schedule(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    layout = replay_blueprint()
+    assert isinstance(layout.root_container, rrb.Tabs)
+    layout.root_container.active_tab = 1
+    monkeypatch.setattr(rerun_sink, "replay_blueprint", lambda **_: layout)
+    hurried = replace(stream.UNHURRIED, budget_ns=180_000_000, overrun="drop-oldest")
+    write_run(tmp_path, events=stream.of_frames(range(12), None, hurried))
+    picture = tmp_path / "viewer.png"
+    assert screenshot([tmp_path], picture, (1280, 800)) == []
+    plots = {
+        "lanes": (0.10, 0.98, 0.10, 0.43),
+        "lag": (0.12, 0.48, 0.48, 0.68),
+        "spent": (0.62, 0.98, 0.48, 0.68),
+        "steps": (0.34, 0.49, 0.74, 0.94),
+        "drops": (0.60, 0.74, 0.74, 0.94),
+        "reasons": (0.80, 0.85, 0.78, 0.95),
+    }
+    assert_drawn(picture, plots, share=0.003)
 
 
 @needs_vulkan

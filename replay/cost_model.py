@@ -1,0 +1,221 @@
+"""Cost models: what each stage of a replay takes on some machine, as fixed + per_unit * units.
+
+A replay under a budget asks a cost model and no clock, so that it comes out the same everywhere.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from proground_log.errors import ProgroundError
+from proground_log.files import require_file, written_whole
+
+COST_MODEL_VERSION = 1
+DEFAULT_MODEL = "epyc-2-threads"
+UNITS = {
+    "decode": "pixel",
+    "perceive": "image",
+    "insert": "pixel",
+    "semantic_insert": "pixel",
+    "step": "sample",
+    "semantic_step": "sample",
+}
+"""What the units of each stage are: pixels of colour and depth together for decode, of depth alone
+for both kinds of insert; rays times samples for both kinds of step."""
+MOST_NS = 1e15
+"""No number of a cost model is larger: eleven days."""
+_SHIPPED = Path(__file__).parent / "cost_models"
+_REMEDY = "measure one with `pglog calibrate`, or see docs/budgets.md"
+
+
+@dataclass(frozen=True)
+class StageCost:
+    """What one stage takes.
+
+    Args:
+        fixed_ns: however little there is to do.
+        per_unit_ns: for each unit, beside that.
+        unit: what is counted, see `UNITS`.
+        residual_percent: how far the measurements lie off this line, median; 0 if written by hand.
+    """
+
+    fixed_ns: float
+    per_unit_ns: float
+    unit: str
+    residual_percent: float = 0.0
+
+
+@dataclass(frozen=True)
+class CostModel:
+    """What each stage takes on one machine.
+
+    Args:
+        name: what people call it.
+        hardware: the machine, by keyword: processor, cores, threads.
+        measured: how, in words.
+        stages: costs by stage; those that were not measured are absent.
+    """
+
+    name: str
+    hardware: dict[str, str]
+    measured: str
+    stages: dict[str, StageCost]
+
+    def require(self, stages: Iterable[str]) -> None:
+        """Raise a ProgroundError unless it knows the cost of all these stages."""
+        missing = [stage for stage in stages if stage not in self.stages]
+        if missing:
+            option = " --detector" if "perceive" in missing else ""
+            raise ProgroundError(
+                f"has no cost of {', '.join(missing)}",
+                where=f"cost model {self.name}",
+                todo=f"measure it with `pglog calibrate{option}`, or choose another cost model",
+            )
+
+    def cost_ns(self, stage: str, units: int) -> int:
+        """What a stage takes for so many units, in whole nanoseconds.
+
+        A step takes 1 at least, so that a budget has an end.
+
+        Raises:
+            ProgroundError: the stage is unknown to this model.
+        """
+        self.require([stage])
+        cost = self.stages[stage]
+        return max(round(cost.fixed_ns + cost.per_unit_ns * units), int(stage == "step"))
+
+    def scaled(self, factor: float) -> CostModel:
+        """The model of a machine that takes `factor` times as long for everything.
+
+        Raises:
+            ProgroundError: the factor is not above 0, or absurdly large.
+        """
+        stages = {
+            stage: dataclasses.replace(
+                cost, fixed_ns=cost.fixed_ns * factor, per_unit_ns=cost.per_unit_ns * factor
+            )
+            for stage, cost in self.stages.items()
+        }
+        numbers = [n for cost in stages.values() for n in (cost.fixed_ns, cost.per_unit_ns)]
+        if not 0 < factor < math.inf or max(numbers, default=0.0) > MOST_NS:
+            raise ProgroundError(
+                f"a machine cannot be {factor} times slower",
+                where="--cost-scale",
+                todo="use a number above 0; 2 is half as fast",
+            )
+        return dataclasses.replace(self, stages=stages)
+
+    def to_json(self) -> dict[str, Any]:
+        """As JSON values; see docs/budgets.md."""
+        return {"cost_model_version": COST_MODEL_VERSION, **dataclasses.asdict(self)}
+
+    @classmethod
+    def from_json(cls, content: object, *, where: object) -> CostModel:
+        """Check a cost model's content; raises a ProgroundError that names what is wrong."""
+        content = _entries(content, "the cost model", where)
+        version = content.get("cost_model_version")
+        if version != COST_MODEL_VERSION:
+            raise ProgroundError(
+                f"has cost model version {version!r}, this pglog reads {COST_MODEL_VERSION}",
+                where=where,
+                todo="measure it again with this version of pglog",
+            )
+        names = {"cost_model_version", *(field.name for field in dataclasses.fields(cls))}
+        _require_keys(content, names, names, "the cost model", where)
+        hardware = _entries(content["hardware"], "hardware", where)
+        stages = _entries(content["stages"], "stages", where)
+        for stage in stages:
+            if stage not in UNITS:
+                raise _fault(f"has a stage {stage!r}; there are {', '.join(UNITS)}", where)
+        return cls(
+            name=_text(content["name"], "name", where),
+            hardware={key: _text(text, f"hardware {key}", where) for key, text in hardware.items()},
+            measured=_text(content["measured"], "measured", where),
+            stages={
+                stage: _stage(stage, stages[stage], where) for stage in UNITS if stage in stages
+            },
+        )
+
+    @classmethod
+    def load(cls, name_or_path: str) -> CostModel:
+        """A cost model that ships with pglog, by its name, or the one in a file.
+
+        Raises:
+            ProgroundError: there is none of this name, or the file is none.
+        """
+        path = Path(name_or_path)
+        if name_or_path in shipped_models():
+            path = _SHIPPED / f"{name_or_path}.json"
+        elif not path.exists():
+            raise ProgroundError(
+                "there is no cost model of this name, and no such file",
+                where=name_or_path,
+                todo=f"choose {', '.join(shipped_models())}, or a file of `pglog calibrate`",
+            )
+        try:
+            content = json.loads(require_file(path).read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise _fault(f"is no JSON ({error})", path) from error
+        return cls.from_json(content, where=path)
+
+    def write(self, path: Path) -> None:
+        """Write it as JSON, whole or not at all."""
+        with written_whole(path) as temporary:
+            temporary.write_text(json.dumps(self.to_json(), indent=2) + "\n", encoding="utf-8")
+
+
+def shipped_models() -> tuple[str, ...]:
+    """Names of the cost models that ship with pglog."""
+    return tuple(sorted(path.stem for path in _SHIPPED.glob("*.json")))
+
+
+def _stage(stage: str, content: object, where: object) -> StageCost:
+    entries = _entries(content, f"stage {stage}", where)
+    needed = {"fixed_ns", "per_unit_ns", "unit"}
+    _require_keys(entries, needed, {*needed, "residual_percent"}, f"stage {stage}", where)
+    if entries["unit"] != UNITS[stage]:
+        raise _fault(f"counts {stage} by {entries['unit']!r}, not by {UNITS[stage]!r}", where)
+    numbers = {
+        key: _number(value, f"{key} of {stage}", where)
+        for key, value in entries.items()
+        if key != "unit"
+    }
+    return StageCost(unit=UNITS[stage], **numbers)
+
+
+def _entries(value: object, what: str, where: object) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise _fault(f"{what} is {type(value).__name__}, not entries by name", where)
+    return value
+
+
+def _require_keys(
+    entries: dict[str, Any], needed: set[str], known: set[str], what: str, where: object
+) -> None:
+    for name in sorted(needed - set(entries)):
+        raise _fault(f"{what} has no entry {name!r}", where)
+    for name in sorted(set(entries) - known):
+        raise _fault(f"{what} has an unknown entry {name!r}", where)
+
+
+def _text(value: object, what: str, where: object) -> str:
+    if not isinstance(value, str) or not value.strip():
+        raise _fault(f"{what} is {value!r}, not a text", where)
+    return value
+
+
+def _number(value: object, what: str, where: object) -> float:
+    # A number that is none (NaN) fails the comparison too.
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= MOST_NS:
+        raise _fault(f"{what} is {value!r}, not a number from 0 to {MOST_NS:g}", where)
+    return float(value)
+
+
+def _fault(what: str, where: object) -> ProgroundError:
+    return ProgroundError(what, where=where, todo=_REMEDY)

@@ -1,0 +1,149 @@
+"""What a replay is going to do, known before it begins: its frames and their schedule."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from proground_log.camera import Calibration
+from proground_log.errors import ProgroundError
+from proground_log.log.reader import LogReader
+from replay.config import ReplayConfig
+from replay.cost_model import CostModel
+from replay.scheduler import Policy, Slot, Timing, schedule
+
+NS_PER_MS = 1_000_000
+
+
+class Turn(NamedTuple):
+    """A frame that is read: mapped in its slot, or held out for evaluation.
+
+    Args:
+        frame: its number.
+        sim_time_ns: when it is read, in simulated time.
+        slot: what it gets; None where it is held out.
+    """
+
+    frame: int
+    sim_time_ns: int
+    slot: Slot | None
+
+
+class Plan:
+    """The frames that arrive, and the turns that they get.
+
+    Held-out frames are kept from the mapper before anything else: they cost no time and no place
+    in the queue.
+
+    Args:
+        reader: the log.
+        config: the settings.
+        cost_model: what each stage takes.
+        perceives: whether frames have regions, and meaning is learnt from them.
+
+    Raises:
+        ProgroundError: a setting that makes no sense, a stage that the cost model does not have.
+    """
+
+    def __init__(
+        self,
+        reader: LogReader,
+        config: ReplayConfig,
+        cost_model: CostModel,
+        *,
+        perceives: bool,
+    ) -> None:
+        self.chosen = config.selection.of(len(reader))[: config.max_frames]
+        self.policy = _policy(config)
+        self.timing = _timing(reader.calibration, config, cost_model, perceives=perceives)
+        every = config.hold_out_every
+        numbers = enumerate(self.chosen, start=1)
+        self.held_out = [frame for n, frame in numbers if every > 0 and n % every == 0]
+        self._held = set(self.held_out)
+        self._arrivals_ns = self._arrivals(reader, config)
+
+    def _arrivals(self, reader: LogReader, config: ReplayConfig) -> dict[int, int]:
+        """When each frame arrives; in lock-step nobody asks."""
+        if self.policy.lock_step:
+            return dict.fromkeys(self.chosen, 0)
+        stamps_ns = reader.stamps_ns()
+        start_ns = stamps_ns[self.chosen[0]]
+        rate = config.simulation.speed
+        return {frame: round((stamps_ns[frame] - start_ns) / rate) for frame in self.chosen}
+
+    def turns(self) -> Iterator[Turn]:
+        """All turns, in order of time."""
+        mapped = [frame for frame in self.chosen if frame not in self._held]
+        held_out = iter([*self.held_out, None])
+        arrivals_ns = [self._arrivals_ns[frame] for frame in mapped]
+        following, now_ns = next(held_out), 0
+        for slot in schedule(mapped, arrivals_ns, self.timing, self.policy):
+            while following is not None and following < slot.frame:
+                now_ns = max(now_ns, self._arrivals_ns[following])
+                yield Turn(following, min(now_ns, slot.begin_ns), None)
+                following = next(held_out)
+            yield Turn(slot.frame, slot.begin_ns, slot)
+            now_ns = slot.end_ns
+        while following is not None:
+            now_ns = max(now_ns, self._arrivals_ns[following])
+            yield Turn(following, now_ns, None)
+            following = next(held_out)
+
+    def spans(self, slot: Slot) -> dict[str, tuple[int, int]]:
+        """Begin and end of each stage of a slot, in nanoseconds; none of those without length."""
+        lengths = {"decode": self.timing.decode_ns}
+        lengths["insert"] = self.timing.insert_ns + self.timing.learn_ns * slot.is_perceived
+        if slot.is_perceived and not self.policy.beside:
+            lengths["perceive"] = self.timing.perceive_ns
+        lengths["step"] = slot.steps * self.timing.step_ns
+        begin_ns, spans = slot.begin_ns, {}
+        for stage in ("decode", "perceive", "insert", "step"):
+            if lengths.get(stage):
+                spans[stage] = begin_ns, begin_ns + lengths[stage]
+                begin_ns += lengths[stage]
+        return spans
+
+
+def _policy(config: ReplayConfig) -> Policy:
+    simulation = config.simulation
+    simulation.require_sound()
+    if config.steps < 0:
+        raise ProgroundError(
+            f"{config.steps} steps a frame", where="--steps", todo="give 0 or more"
+        )
+    return Policy(
+        budget_ns=None if simulation.budget_ms is None else round(simulation.budget_ms * NS_PER_MS),
+        steps=config.steps,
+        lock_step=simulation.speed == 0,
+        queue=simulation.queue,
+        overrun=simulation.overrun,
+        keyframe_every=simulation.keyframe_every,
+        perceive_every=simulation.perceive_every,
+        keyframes_only=simulation.perceive_keyframes_only,
+        beside=simulation.perceive_beside,
+    )
+
+
+def _timing(
+    calibration: Calibration,
+    config: ReplayConfig,
+    cost_model: CostModel,
+    *,
+    perceives: bool,
+) -> Timing:
+    of_perception = ("perceive", "semantic_insert", "semantic_step") if perceives else ()
+    cost_model.require(("decode", "insert", "step", *of_perception))
+    color, depth = calibration.color, calibration.depth
+    sampling, semantics = config.mapper.sampling, config.mapper.semantics
+    depth_pixels = depth.width * depth.height
+    step_ns = cost_model.cost_ns("step", sampling.rays * (sampling.uniform + sampling.near_surface))
+    if perceives:
+        rays = semantics.rays + semantics.background_rays
+        step_ns += cost_model.cost_ns("semantic_step", rays * semantics.samples)
+    return Timing(
+        decode_ns=cost_model.cost_ns("decode", color.width * color.height + depth_pixels),
+        perceive_ns=cost_model.cost_ns("perceive", 1) if perceives else 0,
+        insert_ns=cost_model.cost_ns("insert", depth_pixels),
+        step_ns=step_ns,
+        learn_ns=cost_model.cost_ns("semantic_insert", depth_pixels) if perceives else 0,
+    )

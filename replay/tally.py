@@ -1,0 +1,88 @@
+"""The totals of simulated time: what became of the frames, and where the time went."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from proground_log.events import Event, FrameDropped, FrameScheduled, RegionsArrived
+
+NS_PER_S = 1_000_000_000
+
+
+@dataclass
+class Tally:
+    """A sink that adds up the schedule; `asdict` gives all that a resumed run goes on from.
+
+    Args:
+        mapped: frames mapped.
+        steps: steps given to them.
+        dropped: frames dropped, by reason.
+        perceived_beside: frames whose regions came from beside the mapper.
+        stages_ns: time by stage.
+        idle_ns: time without anything to do.
+        end_ns: end of the last frame.
+        overruns: frames whose reading and inserting took more than the budget.
+        lag_ns, worst_lag_ns: time from the arrival of a frame to the end of its turn, in all and
+            at most.
+        longest_queue: most frames that waited.
+    """
+
+    mapped: int = 0
+    steps: int = 0
+    dropped: dict[str, int] = field(default_factory=dict)
+    perceived_beside: int = 0
+    stages_ns: dict[str, int] = field(default_factory=dict)
+    idle_ns: int = 0
+    end_ns: int = 0
+    overruns: int = 0
+    lag_ns: int = 0
+    worst_lag_ns: int = 0
+    longest_queue: int = 0
+
+    def on_event(self, event: Event) -> None:
+        """Add an event."""
+        match event:
+            case FrameDropped():
+                self.dropped[event.reason] = self.dropped.get(event.reason, 0) + 1
+            case RegionsArrived():
+                self.perceived_beside += 1
+            case FrameScheduled():
+                self._on_scheduled(event)
+
+    def _on_scheduled(self, event: FrameScheduled) -> None:
+        self.mapped += 1
+        self.steps += event.steps
+        for stage, (begin_ns, end_ns) in event.spans.items():
+            self.stages_ns[stage] = self.stages_ns.get(stage, 0) + end_ns - begin_ns
+        self.idle_ns += event.idle_ns
+        self.end_ns = event.sim_time_ns
+        self.overruns += event.overrun_ns > 0
+        lag_ns = event.sim_time_ns - event.arrived_ns
+        self.lag_ns += lag_ns
+        self.worst_lag_ns = max(self.worst_lag_ns, lag_ns)
+        self.longest_queue = max(self.longest_queue, event.waiting)
+
+    def close(self) -> None:
+        """Nothing is pending."""
+
+    def state(self) -> dict[str, Any]:
+        """What a checkpoint keeps."""
+        return asdict(self)
+
+    def summary(self) -> dict[str, object]:
+        """The report, in seconds; JSON values."""
+        return {
+            "frames mapped": self.mapped,
+            "frames dropped": sum(self.dropped.values()),
+            **{f"dropped, {reason}": count for reason, count in self.dropped.items()},
+            **({"perceived beside": self.perceived_beside} if self.perceived_beside else {}),
+            "steps": self.steps,
+            "overruns": self.overruns,
+            "longest queue": self.longest_queue,
+            "mean lag s": round(self.lag_ns / NS_PER_S / max(self.mapped, 1), 4),
+            "worst lag s": round(self.worst_lag_ns / NS_PER_S, 4),
+            "elapsed s": round(self.end_ns / NS_PER_S, 3),
+            "idle s": round(self.idle_ns / NS_PER_S, 3),
+            **{f"{stage} s": round(ns / NS_PER_S, 3) for stage, ns in self.stages_ns.items()},
+        }
