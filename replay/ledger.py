@@ -164,14 +164,15 @@ def read_ledger(path: Path) -> Iterator[dict[str, Any]]:
     """The entries of a ledger; raises a ProgroundError at a line whose seal is broken."""
     require_file(path)
     expected = FIRST_SEAL
-    with path.open() as stream:
+    # What is no text is no line that follows from the one before, either.
+    with path.open(errors="replace") as stream:
         for number, text in enumerate(stream, start=1):
             line = text.rstrip("\n")
             try:
-                entry: dict[str, Any] = json.loads(line)
+                entry = json.loads(line)
             except ValueError:
                 entry = {}
-            if entry.pop("after", None) != expected:
+            if not isinstance(entry, dict) or entry.pop("after", None) != expected:
                 raise ProgroundError(
                     "the line does not follow from the one before: the ledger was changed",
                     where=f"{path}, line {number}",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import secrets
+import socket
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -33,6 +34,9 @@ except ImportError as error:
 
 RETRIES = 3
 """Times that a cell is begun again after its worker or node was lost."""
+
+REACH_S = 10.0
+"""Time in which a cluster answers."""
 
 Files = dict[str, bytes]
 
@@ -101,9 +105,11 @@ def open_ray(
         address: of the cluster, as `ray start` prints it; None: start one here.
 
     Raises:
-        ProgroundError: there is no cluster at the address.
+        ProgroundError: there is no cluster at the address, or it does not let us in.
     """
     require_workers(workers)
+    if address is not None:
+        _require_reachable(address)
     token = output / f".sweep-{secrets.token_hex(8)}"
     with disk_errors(output):
         output.mkdir(parents=True, exist_ok=True)
@@ -117,17 +123,30 @@ def open_ray(
                 log_to_driver=False,
                 logging_level=logging.ERROR,
             )
-        except (ConnectionError, ValueError, RuntimeError) as error:
+        except (ConnectionError, ValueError, RuntimeError, ray.exceptions.RayError) as error:
             raise ProgroundError(
-                f"no ray cluster answers ({error})",
-                where=f"--ray-address {address}",
-                todo="start one with `ray start --head`, or leave the address out",
+                f"the ray cluster does not let us in ({str(error).strip().splitlines()[0]})",
+                where="--engine ray" if address is None else f"--ray-address {address}",
+                todo="check its version of ray and its token, see docs/sweep.md",
             ) from error
         places = workers or max(1, int(ray.cluster_resources().get("CPU", 1)))
         yield RayEngine(log_path, token, places, ships_log=address is not None)
     finally:
         ray.shutdown()
         token.unlink()
+
+
+def _require_reachable(address: str) -> None:
+    """Raise a ProgroundError where nobody listens; ray itself would try for minutes."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    try:
+        socket.create_connection((host, int(port)), timeout=REACH_S).close()
+    except (OSError, OverflowError, ValueError) as error:
+        raise ProgroundError(
+            f"no ray cluster answers there ({error})",
+            where=f"--ray-address {address}",
+            todo="give HOST:PORT of `ray start --head`, or leave it out to start one here",
+        ) from error
 
 
 class _Flag:

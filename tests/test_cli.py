@@ -32,7 +32,8 @@ from tests.small_source import SmallSource, with_frame, write_log
 
 COMMANDS = [
     *("record", "info", "check", "perceive", "vocabulary"),
-    *("replay", "diff", "evaluate", "export", "view", "demo"),
+    *("replay", "rerun", "diff", "bisect", "calibrate", "sweep", "ablate", "query"),
+    *("evaluate", "export", "view", "demo"),
 ]
 
 

@@ -7,7 +7,7 @@ import json
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
-from rich.table import Table
+from rich.table import Column, Table
 
 from proground_log.cli.common import DIFFERENT, SAME, AsJson, Run, out
 
@@ -80,7 +80,8 @@ def print_divergence(divergence: Divergence, origins: list[str]) -> None:
 
 
 def _print_rows(rows: list[DifferenceRow]) -> None:
-    table = Table("cause", "what", "lines", "first frame", "first step", "most ulp")
+    what = Column("what", overflow="fold")
+    table = Table("cause", what, "lines", "from frame", "step", "most ulp")
     for column in table.columns[2:]:
         column.justify = "right"
     for row in rows:

@@ -14,7 +14,8 @@ def below_water_level(groups: np.ndarray, ranks: np.ndarray, most: int) -> np.nd
         most: how many rows may stay in all.
 
     Returns:
-        Row numbers, ascending: those at the highest level at which they are `most` or fewer.
+        Row numbers, ascending: those at the highest level at which they are `most` or fewer. Where
+        there are more groups than that, of the groups' first rows those of the lowest rank.
     """
     order = np.lexsort((ranks, groups))
     sorted_groups = groups[order]
@@ -24,4 +25,7 @@ def below_water_level(groups: np.ndarray, ranks: np.ndarray, most: int) -> np.nd
     # Entry n: how many rows stay when each group keeps its first n + 1.
     staying = np.cumsum(np.bincount(position))
     level = int(np.searchsorted(staying, most, side="right"))
+    if level == 0:
+        firsts = order[position == 0]
+        return np.sort(firsts[np.argsort(ranks[firsts], kind="stable")[:most]])
     return np.sort(order[position < level])

@@ -212,6 +212,14 @@ def test_the_ledger_tells_when_it_was_changed(reference_run: Path, tmp_path: Pat
         list(read_ledger(changed))
 
 
+@pytest.mark.parametrize("line", [b"[1]", b"7", b"\xff\xfe", b"{"])
+def test_what_is_no_ledger_is_named(tmp_path: Path, line: bytes) -> None:
+    path = tmp_path / "ledger.jsonl"
+    path.write_bytes(line + b"\n")
+    with pytest.raises(ProgroundError, match="line 1"):
+        list(read_ledger(path))
+
+
 def test_the_ledger_has_everything(reference_run: Path) -> None:
     entries = list(read_ledger(RunFolder(reference_run).ledger))
     frames = [entry for entry in entries if entry["event"] == "frame"]

@@ -491,6 +491,19 @@ def test_ray_tries_again_when_a_worker_is_lost_and_stops_when_told(
     assert RunFolder(second.folder).checkpoint.is_file()
 
 
+@pytest.mark.parametrize("address", ["127.0.0.1:1", "nowhere", "127.0.0.1:99999"])
+def test_an_address_without_a_cluster(log: Path, tmp_path: Path, address: str) -> None:
+    pytest.importorskip("ray", reason="ray is not installed: pip install proground-log[ray]")
+    from replay.sweep_ray import open_ray
+
+    with (
+        pytest.raises(ProgroundError, match="no ray cluster answers"),
+        open_ray(log, tmp_path / "sweep", address=address),
+    ):
+        pass
+    assert not (tmp_path / "sweep").exists()
+
+
 def test_without_ray_it_is_said_what_to_install(
     log: Path,
     tmp_path: Path,
