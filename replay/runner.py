@@ -103,7 +103,7 @@ class Runner:
         pause: Pause | None = None,
     ) -> None:
         self._reader, self._run, self._config = reader, run, manifest.config
-        self._plan, self._perceiver = plan, perceiver
+        self._manifest, self._plan, self._perceiver = manifest, plan, perceiver
         self._until_frame, self._pause = until_frame, pause
         self._recording_id = f"{manifest.log_sha256[:16]}-{manifest.config.seed}"
         self._mapper = OnlineMapper(
@@ -153,7 +153,7 @@ class Runner:
             self._digest()
             summary = self._summary()
             self._emit(RunFinished(summary))
-        self._finish()
+        self._finish(summary)
         return summary
 
     def _open_telemetry(self) -> TelemetrySink | None:
@@ -418,9 +418,10 @@ class Runner:
             self._turns, self._steps, self._mapper, self._map_so_far(), self._tally, self._seconds
         )
 
-    def _finish(self) -> None:
+    def _finish(self, summary: dict[str, object]) -> None:
         """Give the results their final names, the map last: it says that the run is finished."""
         run = self._run
+        replace(self._manifest, result=summary).write(run.manifest)
         if self._telemetry is not None:
             merge_segments(run.telemetry_segments(), run.telemetry)
         run.partial_ledger.replace(run.ledger)

@@ -25,7 +25,7 @@ from replay.plan import Plan
 from replay.run_folder import Checkpoint, RunFolder
 from replay.runner import Pause, ReplayStoppedError, Runner
 
-__all__ = ["ReplayStoppedError", "replay"]
+__all__ = ["ReplayStoppedError", "cost_model_of", "replay"]
 
 
 def replay(
@@ -77,7 +77,7 @@ def replay(
         require_free(run.manifest, overwrite=overwrite)
         if run_path.exists() and not run_path.is_dir():
             raise ProgroundError("is a file", where=run_path, todo="name a folder for the run")
-        model = cost_model or _cost_model(config)
+        model = cost_model or cost_model_of(config)
         manifest = Manifest.of(log_path, config, model, device, perception)
         plan = _plan(reader, manifest, perception)
         checkpoint = None if start is None else Checkpoint.read(require_file(start))
@@ -90,12 +90,10 @@ def replay(
     runner = Runner(reader, run, manifest, plan, device, perception, perceiver, until_frame, pause)
     with _stop_on_signals(runner):
         summary = runner.run(watchers)
-    finished = replace(manifest, result=summary)
-    finished.write(run.manifest)
-    return finished
+    return replace(manifest, result=summary)
 
 
-def _cost_model(config: ReplayConfig) -> CostModel:
+def cost_model_of(config: ReplayConfig) -> CostModel:
     """The one that the settings name, for a computer as slow as they say."""
     simulation = config.simulation
     simulation.require_sound()

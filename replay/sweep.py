@@ -26,7 +26,7 @@ from replay.evaluate import Texts, evaluate_run
 from replay.manifest import Manifest, file_sha256, fingerprint
 from replay.plan import Plan
 from replay.run_folder import RunFolder
-from replay.session import ReplayStoppedError, replay
+from replay.session import ReplayStoppedError, cost_model_of, replay
 from replay.sweep_grid import Cell
 
 SCORES = "scores.json"
@@ -131,9 +131,7 @@ def jobs_left(
     log_sha256 = file_sha256(log_path)
     jobs = []
     for cell in cells:
-        simulation = cell.config.simulation
-        simulation.require_sound()
-        cost_model = CostModel.load(simulation.cost).scaled(simulation.cost_scale)
+        cost_model = cost_model_of(cell.config)
         _require_sound(reader, cell.config, cost_model, perception)
         folder = cell_folder(output, cell)
         job = Job(log_path, folder, cell.config, cost_model, open_perceiver, judging)
