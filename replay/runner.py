@@ -341,7 +341,8 @@ class Runner:
             self._write_checkpoint()
             raise ReplayStoppedError(
                 f"stopped after frame {turn.frame}, {self._turns} of {total}; go on with "
-                f"`pglog replay {self._reader.path} -o {self._run.path} --resume`",
+                f"`pglog replay {self._reader.path} -o {self._run.path} --resume`"
+                f"{' and the same options of perception' if self._perceiver is not None else ''}",
                 is_interruption=self._stop.is_set(),
             )
         if self._turns % self._config.checkpoint_every == 0:
