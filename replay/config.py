@@ -75,7 +75,6 @@ class SimulationConfig:
             "--queue": (self.queue >= 1, "1 or more"),
             "--keyframe-every": (self.keyframe_every >= 1, "1 or more"),
             "--perceive-every": (self.perceive_every >= 1, "1 or more"),
-            "--cost-scale": (0 < self.cost_scale < math.inf, "more than 0"),
         }
         for flag, (is_sound, wanted) in complaints.items():
             if not is_sound:

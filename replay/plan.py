@@ -59,7 +59,6 @@ class Plan:
         every = config.hold_out_every
         numbers = enumerate(self.chosen, start=1)
         self.held_out = [frame for n, frame in numbers if every > 0 and n % every == 0]
-        self._held = set(self.held_out)
         self._arrivals_ns = self._arrivals(reader, config)
 
     def _arrivals(self, reader: LogReader, config: ReplayConfig) -> dict[int, int]:
@@ -73,7 +72,8 @@ class Plan:
 
     def turns(self) -> Iterator[Turn]:
         """All turns, in order of time."""
-        mapped = [frame for frame in self.chosen if frame not in self._held]
+        held = set(self.held_out)
+        mapped = [frame for frame in self.chosen if frame not in held]
         held_out = iter([*self.held_out, None])
         arrivals_ns = [self._arrivals_ns[frame] for frame in mapped]
         following, now_ns = next(held_out), 0
@@ -107,10 +107,12 @@ class Plan:
 def _policy(config: ReplayConfig) -> Policy:
     simulation = config.simulation
     simulation.require_sound()
-    if config.steps < 0:
-        raise ProgroundError(
-            f"{config.steps} steps a frame", where="--steps", todo="give 0 or more"
-        )
+    least = {"steps": 0, "digest_every": 1, "checkpoint_every": 1}
+    for name, bound in least.items():
+        if getattr(config, name) < bound:
+            flag = f"--{name.replace('_', '-')}"
+            value = getattr(config, name)
+            raise ProgroundError(f"cannot be {value}", where=flag, todo=f"give {bound} or more")
     return Policy(
         budget_ns=None if simulation.budget_ms is None else round(simulation.budget_ms * NS_PER_MS),
         steps=config.steps,

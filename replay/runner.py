@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Protocol
 
 import numpy as np
@@ -219,10 +219,11 @@ class Runner:
         beside = self._plan.policy.beside
         happened = deque(slot.meanwhile)
         self._tell(happened, slot.begin_ns)
-        if slot.is_perceived and beside:
-            self._unperceived[slot.frame] = self._perceived(sensor)
-        if slot.is_perceived and not beside:
+        if slot.is_perceived:
             frame = self._perceived(sensor)
+            if beside:
+                self._unperceived[slot.frame] = frame
+                frame = replace(frame, regions=None, region_of=None)
         else:
             frame = self._registered(replace(sensor, regions=None))
         self._arrive(frame, slot.begin_ns, held_out=False)
@@ -406,7 +407,7 @@ class Runner:
             ledger_lines=self._ledger.lines,
             telemetry_bytes=[segment.stat().st_size for segment in segments],
             camera_m=self._camera_m,
-            simulation=self._tally.state(),
+            simulation=asdict(self._tally),
             seconds=self._seconds,
             state=self._mapper.state(),
         )

@@ -49,8 +49,8 @@ def replay(
         run_path: folder of the run.
         config: the settings; with `resume` those of the run itself hold.
         resume: go on with an interrupted run.
-        start: a kept checkpoint of a run of the same log, to begin at; its ledger up to there
-            becomes this run's.
+        start: a kept checkpoint of another run of the log, to begin at; its ledger up to there
+            becomes this run's. Without settings those of that run hold.
         overwrite: replace a run that is there.
         perceiver: finds the regions of each frame, for a log that has none yet.
         cost_model: what stages take, in place of the one that the settings name.
@@ -77,10 +77,17 @@ def replay(
         require_free(run.manifest, overwrite=overwrite)
         if run_path.exists() and not run_path.is_dir():
             raise ProgroundError("is a file", where=run_path, todo="name a folder for the run")
+        checkpoint = None
+        if start is not None:
+            checkpoint, origin = Checkpoint.read(require_file(start)), _origin_of(start, run)
+            if config == ReplayConfig():
+                config = origin.config
+            cost_model = cost_model or origin.cost_model
         model = cost_model or cost_model_of(config)
         manifest = Manifest.of(log_path, config, model, device, perception)
+        if start is not None:
+            _require_same_map(manifest, origin, start)
         plan = _plan(reader, manifest, perception)
-        checkpoint = None if start is None else Checkpoint.read(require_file(start))
         with disk_errors(run_path):
             run_path.mkdir(parents=True, exist_ok=True)
         run.clear()
@@ -95,9 +102,7 @@ def replay(
 
 def cost_model_of(config: ReplayConfig) -> CostModel:
     """The one that the settings name, for a computer as slow as they say."""
-    simulation = config.simulation
-    simulation.require_sound()
-    return CostModel.load(simulation.cost).scaled(simulation.cost_scale)
+    return CostModel.load(config.simulation.cost).scaled(config.simulation.cost_scale)
 
 
 def _plan(reader: LogReader, manifest: Manifest, perception: PerceptionDescription | None) -> Plan:
@@ -107,12 +112,46 @@ def _plan(reader: LogReader, manifest: Manifest, perception: PerceptionDescripti
 
 def _begin_at(checkpoint: Checkpoint, path: Path, run: RunFolder) -> None:
     """Give a new run the state of a checkpoint, and the ledger of its run up to there."""
-    of = RunFolder(path.resolve().parent.parent)
+    of = _run_of(path)
     ledger = require_file(of.ledger if of.ledger.is_file() else of.partial_ledger)
-    with ledger.open() as lines, run.partial_ledger.open("w") as kept:
+    with disk_errors(run.path), ledger.open() as lines, run.partial_ledger.open("w") as kept:
         kept.writelines(islice(lines, checkpoint.ledger_lines))
     # The telemetry of the other run stays there: this run's begins here.
     replace(checkpoint, telemetry_bytes=[]).write(run.checkpoint)
+
+
+def _run_of(checkpoint: Path) -> RunFolder:
+    """The run that kept a checkpoint."""
+    return RunFolder(checkpoint.resolve().parent.parent)
+
+
+def _origin_of(checkpoint: Path, run: RunFolder) -> Manifest:
+    """What made the run that a checkpoint is of; that is not the run about to be written."""
+    of = _run_of(checkpoint)
+    if of.path == run.path.resolve():
+        raise ProgroundError(
+            "keeps the checkpoint to begin at", where=run.path, todo="name another folder"
+        )
+    return Manifest.read(of.manifest)
+
+
+def _require_same_map(manifest: Manifest, origin: Manifest, checkpoint: Path) -> None:
+    """Raise a ProgroundError unless both runs do the same up to the checkpoint."""
+    bookkeeping = ("digest_every", "checkpoint_every", "keep_checkpoints", "telemetry")
+    kept = {name: getattr(origin.config, name) for name in bookkeeping}
+    pairs = {
+        "another log": (manifest.log_sha256, origin.log_sha256),
+        "other settings": (replace(manifest.config, **kept), origin.config),
+        "another cost model": (manifest.cost_model, origin.cost_model),
+        "another perception": (manifest.perception_sha256, origin.perception_sha256),
+    }
+    for what, (ours, theirs) in pairs.items():
+        if ours != theirs:
+            raise ProgroundError(
+                f"is of a run with {what}",
+                where=checkpoint,
+                todo="give the same log and perception, and leave the settings out",
+            )
 
 
 def _manifest_to_resume(
@@ -132,7 +171,12 @@ def _manifest_to_resume(
             where=run.path,
             todo="leave them out: --resume goes on with the run's own",
         )
-    require_same_log(manifest, log_path)
+    if file_sha256(log_path) != manifest.log_sha256:
+        raise ProgroundError(
+            "the log is not the one that the run was started with",
+            where=log_path,
+            todo=f"give the same log (it was {manifest.log_path})",
+        )
     if manifest.perception_sha256 != fingerprint(perception):
         raise ProgroundError(
             "the perception is not the one that the run was started with",
@@ -140,16 +184,6 @@ def _manifest_to_resume(
             todo="give the same task and models",
         )
     return manifest
-
-
-def require_same_log(manifest: Manifest, log_path: Path) -> None:
-    """Raise a ProgroundError unless this is the log that the run was made of."""
-    if file_sha256(log_path) != manifest.log_sha256:
-        raise ProgroundError(
-            "the log is not the one that the run was started with",
-            where=log_path,
-            todo=f"give the same log (it was {manifest.log_path})",
-        )
 
 
 @contextmanager

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import dataclass, field
 
 from proground_log.events import Event, FrameDropped, FrameScheduled, RegionsArrived
 
@@ -12,7 +11,7 @@ NS_PER_S = 1_000_000_000
 
 @dataclass
 class Tally:
-    """A sink that adds up the schedule; `asdict` gives all that a resumed run goes on from.
+    """Adds up the schedule, event by event; a checkpoint keeps it as a dict.
 
     Args:
         mapped: frames mapped.
@@ -62,13 +61,6 @@ class Tally:
         self.lag_ns += lag_ns
         self.worst_lag_ns = max(self.worst_lag_ns, lag_ns)
         self.longest_queue = max(self.longest_queue, event.waiting)
-
-    def close(self) -> None:
-        """Nothing is pending."""
-
-    def state(self) -> dict[str, Any]:
-        """What a checkpoint keeps."""
-        return asdict(self)
 
     def summary(self) -> dict[str, object]:
         """The report, in seconds; JSON values."""

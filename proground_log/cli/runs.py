@@ -60,7 +60,7 @@ def replay_command(
         perception: how regions are found, for a log that has none yet.
         threads: compute on so many; the result is the same for any number.
         resume: go on with an interrupted run, with the run's own settings.
-        from_checkpoint: begin at a kept checkpoint of a run of this log.
+        from_checkpoint: begin at a kept checkpoint of another run of this log, with its settings.
         until_frame: stop after this frame; --resume goes on.
         pause_at: pause after these frames.
         manifest: run this run again (a manifest.json), with its own settings.
@@ -72,7 +72,12 @@ def replay_command(
     from replay.session import ReplayStoppedError, replay
 
     if manifest is not None:
-        _require_own_settings(config, from_checkpoint, resume)
+        if config != ReplayConfig() or resume or from_checkpoint is not None or pause_at:
+            raise ProgroundError(
+                "--manifest brings its own settings",
+                where="replay",
+                todo="leave out all but LOG, -o, --check, --until-frame, --threads and perception",
+            )
         return rerun_command(
             manifest,
             output=output,
@@ -106,15 +111,6 @@ def replay_command(
         return STOPPED if stop.is_interruption else SAME
     print_summary(output, result)
     return SAME
-
-
-def _require_own_settings(config: ReplayConfig, start: Path | None, resume: bool) -> None:
-    if config != ReplayConfig() or start is not None or resume:
-        raise ProgroundError(
-            "--manifest brings its own settings",
-            where="replay",
-            todo="leave out all but LOG, -o, --check, --threads and the perception",
-        )
 
 
 def _progress_watcher(frames: int) -> list[Sink]:

@@ -14,7 +14,10 @@ from typing import Any
 import pytest
 
 from proground_log.errors import ProgroundError
+from proground_log.frame import Selection
 from proground_log.log.reader import LogReader
+from recorders.record import record
+from recorders.room import RoomSource
 from replay.config import ReplayConfig, TelemetryConfig
 from replay.cost_model import CostModel
 from replay.ledger import read_ledger
@@ -120,6 +123,33 @@ def test_any_checkpoint_goes_on_to_the_same_ledger(
         replay(room_log, run, OVERLOADED, start=checkpoint)
         assert ledger_bytes(run) == ledger_bytes(overloaded)
         assert RunFolder(run).map.read_bytes() == RunFolder(overloaded).map.read_bytes()
+
+
+def test_a_checkpoint_brings_its_settings_and_takes_no_others(
+    room_log: Path, overloaded: Path, tmp_path: Path
+) -> None:
+    checkpoint = RunFolder(overloaded).kept_checkpoints()[4]
+    run = tmp_path / "run"
+    replay(room_log, run, ReplayConfig(), start=checkpoint)
+    assert ledger_bytes(run) == ledger_bytes(overloaded)
+    before = {path: path.read_bytes() for path in overloaded.iterdir() if path.is_file()}
+    other = record_another_room(tmp_path / "other.mcap")
+    wrong: list[tuple[Path, Path, ReplayConfig, str]] = [
+        (other, tmp_path / "a", OVERLOADED, "another log"),
+        (room_log, tmp_path / "b", replace(OVERLOADED, seed=1), "other settings"),
+        (room_log, overloaded, OVERLOADED, "name another folder"),
+    ]
+    for log, output, config, message in wrong:
+        with pytest.raises(ProgroundError, match=message):
+            replay(log, output, config, start=checkpoint, overwrite=True)
+        assert output == overloaded or not output.exists()
+    assert before == {path: path.read_bytes() for path in overloaded.iterdir() if path.is_file()}
+
+
+def record_another_room(path: Path) -> Path:
+    source = RoomSource(seed=1, frames=12)
+    record(source, "another room", path, Selection(), overwrite=False, progress=lambda *_: None)
+    return path
 
 
 def test_until_a_frame_and_on(room_log: Path, overloaded: Path, tmp_path: Path) -> None:
@@ -247,7 +277,7 @@ def test_the_machine_and_its_load_do_not_matter(
         ({"queue": 0}, "--queue: cannot be 0"),
         ({"keyframe_every": 0}, "--keyframe-every: cannot be 0"),
         ({"perceive_every": 0}, "--perceive-every: cannot be 0"),
-        ({"cost_scale": 0.0}, "--cost-scale: cannot be 0"),
+        ({"cost_scale": 0.0}, "--cost-scale: a machine cannot be 0"),
         ({"cost": "no-such-machine"}, "no-such-machine"),
     ],
 )
@@ -264,6 +294,14 @@ def without(stage: str, path: Path) -> str:
     del content["stages"][stage]
     path.write_text(json.dumps(content))
     return str(path)
+
+
+@pytest.mark.parametrize("name", ["steps", "digest_every", "checkpoint_every"])
+def test_a_count_below_its_least_is_refused(room_log: Path, tmp_path: Path, name: str) -> None:
+    config = ReplayConfig(**{name: -1})  # type: ignore[arg-type]
+    with pytest.raises(ProgroundError, match=f"--{name.replace('_', '-')}: cannot be -1"):
+        replay(room_log, tmp_path / "run", config)
+    assert not (tmp_path / "run").exists()
 
 
 OF_PERCEPTION = ("perceive", "semantic_insert", "semantic_step")
