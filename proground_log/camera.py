@@ -16,6 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from proground_log.errors import ProgroundError
 
+FISHEYE_TERMS = 4
+_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-6)
 RIGID_TOLERANCE = 1e-3
 """How far R^T R may be from the identity: poses in text files carry some six digits."""
 
@@ -27,7 +29,8 @@ class Camera:
     Args:
         width, height: size of the image in pixels.
         fx, fy, cx, cy: focal lengths and principal point in pixels, pixel centres at +0.5.
-        distortion: k1 k2 p1 p2 k3, or nothing for an ideal lens.
+        distortion: nothing for an ideal lens; k1 k2 p1 p2 k3, or these and k4 k5 k6 (rational);
+            k1 k2 k3 k4 for a fisheye (equidistant). The names in brackets are ROS's.
     """
 
     width: int
@@ -59,6 +62,11 @@ class Camera:
             [[self.fx, 0.0, self.cx - 0.5], [0.0, self.fy, self.cy - 0.5], [0.0, 0.0, 1.0]]
         )
 
+    @property
+    def is_fisheye(self) -> bool:
+        """Whether the distortion is that of OpenCV's fisheye model."""
+        return len(self.distortion) == FISHEYE_TERMS
+
     def pinhole(self) -> Camera:
         """The same camera without its distortion."""
         return Camera(self.width, self.height, self.fx, self.fy, self.cx, self.cy)
@@ -77,9 +85,9 @@ class Camera:
         u, v = np.meshgrid(np.arange(self.width), np.arange(self.height))
         pixels = np.stack([u, v], axis=-1).reshape(-1, 1, 2).astype(np.float64)
         if any(self.distortion):
-            k = self.k_integer_centres
-            until = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-6)
-            xy = cv2.undistortPoints(pixels, k, np.array(self.distortion), criteria=until)
+            k, d = self.k_integer_centres, np.array(self.distortion)
+            undistort = cv2.fisheye.undistortPoints if self.is_fisheye else cv2.undistortPoints
+            xy = undistort(pixels, k, d, criteria=_UNTIL)
         else:
             xy = (pixels + 0.5 - (self.cx, self.cy)) / (self.fx, self.fy)
         xy = xy.reshape(self.height, self.width, 2)
@@ -91,7 +99,11 @@ class Camera:
         if any(self.distortion):
             points = np.concatenate([xy, np.ones_like(xy[:, :1])], axis=1).astype(np.float64)
             k, d = self.k_integer_centres, np.array(self.distortion)
-            pixels, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), k, d)
+            still = np.zeros((3, 1))
+            if self.is_fisheye:
+                pixels, _ = cv2.fisheye.projectPoints(points[:, None], still, still, k, d)
+            else:
+                pixels, _ = cv2.projectPoints(points, still, still, k, d)
             return pixels.reshape(-1, 2) + 0.5
         return xy * (self.fx, self.fy) + (self.cx, self.cy)
 
@@ -100,7 +112,7 @@ class Camera:
         return self.directions * depth_m[..., None]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Calibration:
     """The two cameras of an RGB-D rig and where they sit.
 
@@ -117,6 +129,13 @@ class Calibration:
     def registered(cls, camera: Camera) -> Calibration:
         """The calibration of a source whose colour and depth share one camera."""
         return cls(camera, camera, np.eye(4))
+
+    def __eq__(self, other: object) -> bool:
+        return (
+            isinstance(other, Calibration)
+            and (self.color, self.depth) == (other.color, other.depth)
+            and np.array_equal(self.depth_from_color, other.depth_from_color)
+        )
 
     @property
     def is_registered(self) -> bool:

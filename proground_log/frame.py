@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from proground_log.camera import Camera
+from proground_log.camera import Calibration, Camera
 from proground_log.encoded_image import is_whole
 from proground_log.errors import ProgroundError
 from proground_log.regions import Regions
@@ -32,6 +32,9 @@ class SensorFrame:
         depth: [H, W], uint16 in millimetres or float32 in metres; 0 where nothing was measured.
         world_from_camera: pose of the depth camera, float64 [4, 4].
         labels: class of each pixel of the colour camera, uint16 [H, W], 0 = none; where known.
+        instances: number of the thing that each pixel belongs to, likewise.
+        calibration: the cameras of this frame, where they are not those of the recording: phones
+            refocus. Where they sit stays the same.
         regions: what perception found in the colour image; None before `pglog perceive`.
     """
 
@@ -43,6 +46,8 @@ class SensorFrame:
     depth: np.ndarray
     world_from_camera: np.ndarray
     labels: np.ndarray | None = None
+    instances: np.ndarray | None = None
+    calibration: Calibration | None = None
     regions: Regions | None = None
 
     @property

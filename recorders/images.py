@@ -87,6 +87,14 @@ def read_encoded(path: Path) -> EncodedImage:
     return EncodedImage(data, kind.lower(), width, height)
 
 
+def encoded_png(pixels: np.ndarray) -> bytes:
+    """A PNG of pixels uint8 [H, W, 3] RGB: nothing is lost where a source has no encoded image."""
+    _, png = cv2.imencode(
+        ".png", np.ascontiguousarray(pixels[..., ::-1]), [cv2.IMWRITE_PNG_COMPRESSION, 1]
+    )
+    return bytes(png.tobytes())
+
+
 def read_color(path: Path, camera: Camera) -> EncodedImage:
     """Read a colour file without decoding it; raise a ProgroundError unless it fits the camera."""
     image = read_encoded(path)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from proground_log.files import require_free
 from proground_log.frame import Selection
-from proground_log.log.recording import Recording
+from proground_log.log.recording import Origin, Recording
 from proground_log.log.writer import open_writer
 from recorders.bounds import BoundsEstimator
 from recorders.prefetch import prefetched
@@ -39,10 +39,12 @@ def record(
     require_free(output, overwrite=overwrite)
     chosen = selection.of(len(source))
     estimator = BoundsEstimator()
-    with open_writer(output, source.calibration) as writer:
+    origin = Origin(source_name, source.name, source.notes)
+    mesh = source.ground_truth_mesh()
+    with open_writer(output, source.calibration, origin, source.label_names, mesh) as writer:
         progress(0, len(chosen))
         for done, frame in enumerate(prefetched(source.frame, chosen), start=1):
-            estimator.add(frame, source.calibration.depth)
+            estimator.add(frame, (frame.calibration or source.calibration).depth)
             writer.write(frame)
             progress(done, len(chosen))
         recording = Recording(
@@ -51,6 +53,7 @@ def record(
             frames=writer.frames,
             bounds=estimator.bounds(),
             notes=source.notes,
+            warnings=source.warnings,
         )
-        writer.finish(recording, source.label_names, source.ground_truth_mesh())
+        writer.finish(recording)
     return recording

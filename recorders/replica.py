@@ -57,6 +57,7 @@ class ReplicaSource:
         self._frames = _find_frames(source)
         self.label_names: dict[int, str] = {}
         self.notes: dict[str, str] = {}
+        self.warnings: tuple[str, ...] = ()
         if self._frames[0].labels is not None:
             self.label_names = _read_label_names(_here_or_above(source, "info_semantic.json"))
 

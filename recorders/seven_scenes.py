@@ -62,6 +62,7 @@ class SevenScenesSource:
         self.calibration = calibration or kinect_calibration()
         self.label_names: dict[int, str] = {}
         self.notes: dict[str, str] = {}
+        self.warnings: tuple[str, ...] = ()
         folder = _sequence_folder(source)
         depths = numbered_files(folder, r"frame-(\d+)\.depth\.png")
         colors = numbered_files(folder, r"frame-(\d+)\.color\.(?:png|jpe?g)")

@@ -16,12 +16,14 @@ class Source(Protocol):
         calibration: the rig's cameras.
         label_names: class names by label; label 0 is "nothing"; empty without ground truth.
         notes: what was left out or assumed, by keyword, for the log.
+        warnings: what looks wrong about the data set as it was opened, in sentences.
     """
 
     name: str
     calibration: Calibration
     label_names: dict[int, str]
     notes: dict[str, str]
+    warnings: tuple[str, ...]
 
     def __len__(self) -> int: ...
 

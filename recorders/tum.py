@@ -75,6 +75,7 @@ class TumSource:
             "images without a partner": str(len(depths) - len(pairs)),
             "pairs without a pose": str(len(pairs) - len(self._frames)),
         }
+        self.warnings: tuple[str, ...] = ()
         if not self._frames:
             raise ProgroundError(
                 f"no frame: {len(depths)} depth and {len(colors)} colour images make "

@@ -18,6 +18,7 @@ import numpy as np
 from proground_log.camera import Calibration, Camera
 from proground_log.frame import Frame, SensorFrame
 from proground_log.log.reader import LogReader
+from proground_log.log.recording import Origin
 from proground_log.log.registration import Registration
 from proground_log.log.writer import open_writer
 from proground_log.mapping.config import MapperConfig, SamplingConfig, SemanticsConfig
@@ -88,12 +89,13 @@ def _decode_work(reader: LogReader, sensors: Sequence[SensorFrame], folder: Path
     works = []
     for camera in _cameras(reader):
         path = folder / f"{camera.width}.mcap"
-        with open_writer(path, Calibration.registered(camera)) as writer:
+        origin = Origin(reader.recording.source, reader.recording.format, {})
+        with open_writer(path, Calibration.registered(camera), origin, {}, None) as writer:
             for sensor in sensors:
                 # A robot's log has no true labels.
                 writer.write(replace(_resized(sensor, camera), labels=None))
             recording = replace(reader.recording, frames=writer.frames)
-            writer.finish(recording, {}, None)
+            writer.finish(recording)
         log = LogReader(path)
         read = partial(_read, log, Registration(log.calibration))
         works.append(Work(2 * camera.width * camera.height, read, len(sensors)))

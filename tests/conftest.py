@@ -35,6 +35,18 @@ def room_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
+def room() -> RoomSource:
+    """The built-in room along a way of 120 frames, so that neighbouring frames overlap."""
+    return RoomSource()
+
+
+@pytest.fixture(scope="session")
+def room_frames(room: RoomSource) -> list[SensorFrame]:
+    """Six neighbouring frames of the room: what fixtures of other formats are written from."""
+    return [room.frame(index) for index in range(6)]
+
+
+@pytest.fixture(scope="session")
 def depth_agreement() -> Callable[[Source, SensorFrame, SensorFrame, float], float]:
     """Share of the first frame's depth that the second one confirms within a tolerance (m)."""
 

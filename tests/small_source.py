@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from proground_log.bounds import Bounds
 from proground_log.camera import Calibration, Camera
 from proground_log.frame import SensorFrame
-from proground_log.log.recording import Recording
+from proground_log.log.recording import Origin, Recording
 from proground_log.log.writer import LogWriter, open_writer
 
 CAMERA = Camera(32, 24, 30.0, 30.0, 16.0, 12.0)
@@ -40,6 +40,7 @@ class SmallSource:
     color_format: str = "png"
     name: str = "small"
     notes: dict[str, str] = field(default_factory=lambda: {"kept": "all"})
+    warnings: tuple[str, ...] = ()
 
     @property
     def label_names(self) -> dict[int, str]:
@@ -87,13 +88,14 @@ def write_log(
 ) -> Path:
     """Write a log of the source, or of these frames instead of its own."""
     source = source or SmallSource()
-    with open_writer(path, source.calibration) as writer:
+    origin, mesh = Origin("small data", source.name, source.notes), source.ground_truth_mesh()
+    with open_writer(path, source.calibration, origin, source.label_names, mesh) as writer:
         for frame in frames or map(source.frame, range(len(source))):
             writer.write(frame)
         before_finish(writer)
         count = writer.frames if announced is None else announced
         recording = Recording("small data", source.name, count, BOUNDS, source.notes)
-        writer.finish(recording, source.label_names, source.ground_truth_mesh())
+        writer.finish(recording)
     return path
 
 

@@ -27,6 +27,8 @@ lenses = st.sampled_from(
         (-0.06, 0.0, 0.0, 0.0, 0.0),
         (0.2624, -0.9531, -0.0054, 0.0026, 1.1633),
         (0.1, -0.05, 0.002, -0.001, 0.01),
+        (0.1, -0.05, 0.002, -0.001, 0.01, 0.02, -0.01, 0.005),
+        (0.1, -0.02, 0.01, -0.004),
     ]
 )
 
@@ -74,7 +76,9 @@ def test_the_real_lenses_are_inverted_up_to_the_corners(camera: Camera) -> None:
 def test_projection_is_that_of_opencv(camera: Camera) -> None:
     points = camera.directions.reshape(-1, 3).astype(np.float64) * 2.5
     k, lens = camera.k_integer_centres, np.array(camera.distortion or [0.0] * 5)
-    expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), k, lens)
+    project = cv2.fisheye.projectPoints if len(lens) == 4 else cv2.projectPoints
+    still = np.zeros((3, 1))
+    expected, _ = project(points[:, None], still, still, k, lens)
     np.testing.assert_allclose(camera.project(points) - 0.5, expected.reshape(-1, 2), atol=1e-6)
 
 

@@ -15,10 +15,9 @@ from proground_log.errors import ProgroundError
 from proground_log.log import topics
 from proground_log.log.reader import (
     DAMAGE,
+    FrameDecoder,
     LogReader,
-    MessageDecoder,
     RawMessage,
-    decode_frame,
     group_by_time,
 )
 from proground_log.log.registration import Registration
@@ -47,12 +46,13 @@ def check_log(path: Path, progress: Callable[[int, int], None]) -> list[Fault]:
     """
     reader = LogReader(path)
     faults: list[Fault] = []
-    register = None
+    calibration, register = None, None
     try:
-        register = Registration(reader.calibration)
+        calibration = reader.calibration
+        register = Registration(calibration)
     except ProgroundError as error:
         faults.append(Fault("", _topic_of(error), error.what))
-    decode = MessageDecoder()
+    decode = FrameDecoder(calibration, where=path)
     last_ns = -1
     progress(0, len(reader))
     count = 0
@@ -115,14 +115,14 @@ def _after(frame: int) -> str:
 def _frame_faults(
     index: int,
     group: list[RawMessage],
-    decode: MessageDecoder,
+    decode: FrameDecoder,
     register: Registration | None,
     reader: LogReader,
 ) -> Iterator[Fault]:
     """The faults of one frame."""
     name = str(index)
     try:
-        sensor = decode_frame(index, group, decode, where=reader.path)
+        sensor = decode(index, group)
     except ProgroundError as error:
         yield Fault(name, _topic_of(error), error.what)
         return

@@ -115,6 +115,10 @@ _PIXEL_TYPES: dict[str, np.dtype[Any]] = {
 }
 
 
+_DISTORTION_MODELS = {0: "plumb_bob", 4: "equidistant", 5: "plumb_bob", 8: "rational_polynomial"}
+"""What ROS calls a lens, by its number of terms."""
+
+
 def encoder(message_type: str) -> Callable[[object], bytes]:
     """The function that turns a message of this type into CDR bytes."""
     encode: Callable[[object], bytes] = serialize_dynamic(message_type, DEFINITIONS[message_type])[
@@ -144,6 +148,11 @@ def restamped(encoded: bytes, stamp_ns: int) -> bytes:
     """
     seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
     return encoded[:4] + struct.pack("<iI", seconds, nanoseconds) + encoded[12:]
+
+
+def without_stamp(encoded: bytes) -> bytes:
+    """What of such a message is left when its time is left out."""
+    return encoded[12:]
 
 
 def stamp_ns(message: Any) -> int:
@@ -194,7 +203,7 @@ def camera_info(camera: Camera, stamp_ns: int, frame_id: str) -> object:
         header=header(stamp_ns, frame_id),
         height=camera.height,
         width=camera.width,
-        distortion_model="plumb_bob",
+        distortion_model=_DISTORTION_MODELS[len(camera.distortion)],
         d=list(camera.distortion) or [0.0] * 5,
         k=k.reshape(-1).tolist(),
         r=np.eye(3).reshape(-1).tolist(),
@@ -205,10 +214,16 @@ def camera_info(camera: Camera, stamp_ns: int, frame_id: str) -> object:
     )
 
 
-def camera(message: Any) -> Camera:
-    """The camera that a CameraInfo describes."""
+def camera(message: Any, *, where: object) -> Camera:
+    """The camera that a CameraInfo describes; raises a ProgroundError for an unknown lens."""
     k = message.k
     distortion = tuple(message.d) if any(message.d) else ()
+    if distortion and message.distortion_model != _DISTORTION_MODELS.get(len(distortion)):
+        raise ProgroundError(
+            f"a lens of {len(distortion)} terms of {message.distortion_model!r} is not known",
+            where=where,
+            todo="record the log again",
+        )
     return Camera.from_integer_centres(
         message.width, message.height, k[0], k[4], k[2], k[5], distortion
     )

@@ -8,6 +8,7 @@ import struct
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -20,7 +21,7 @@ from mcap.stream_reader import CRCValidationError
 from mcap.writer import MCAP0_MAGIC
 from mcap_ros2.decoder import DecoderFactory
 
-from proground_log.camera import Calibration, require_rigid
+from proground_log.camera import Calibration, Camera, require_rigid
 from proground_log.errors import ProgroundError
 from proground_log.files import require_file
 from proground_log.frame import SensorFrame
@@ -138,8 +139,8 @@ class LogReader:
             )
         mount = f"{self.path}, {topics.TF_STATIC}"
         return Calibration(
-            color=messages.camera(found[topics.COLOR_INFO]),
-            depth=messages.camera(found[topics.DEPTH_INFO]),
+            color=messages.camera(found[topics.COLOR_INFO], where=self.path),
+            depth=messages.camera(found[topics.DEPTH_INFO], where=self.path),
             depth_from_color=require_rigid(
                 messages.parent_from_child(found[topics.TF_STATIC], where=mount),
                 where=mount,
@@ -190,12 +191,12 @@ class LogReader:
         """The frames of these numbers (ascending), or all; only they are decoded."""
         wanted = iter(range(len(self)) if chosen is None else chosen)
         following = next(wanted, None)
-        decode = MessageDecoder()
+        decode = FrameDecoder(self.calibration, where=self.path)
         for index, group in enumerate(self.groups()):
             if following is None:
                 return
             if index == following:
-                yield decode_frame(index, group, decode, where=self.path)
+                yield decode(index, group)
                 following = next(wanted, None)
 
 
@@ -248,34 +249,74 @@ def group_by_time(raw: Iterable[RawMessage]) -> Iterator[list[RawMessage]]:
         yield group
 
 
-def decode_frame(
-    index: int, group: list[RawMessage], decode: MessageDecoder, *, where: object
-) -> SensorFrame:
-    """Make a frame of its messages; raises a ProgroundError that names frame and topic."""
-    wanted = (*FRAME_TOPICS, topics.LABELS, topics.REGIONS)
-    at = f"{where}, frame {index}, "
-    found = {
-        channel.topic: decode(schema, message, where=at + channel.topic)
-        for schema, channel, message in group
-        if channel.topic in wanted
-    }
-    for topic in FRAME_TOPICS:
-        if topic not in found:
-            raise ProgroundError(
-                "the message is missing", where=at + topic, todo="record the log again"
-            )
-    labels, regions = found.get(topics.LABELS), found.get(topics.REGIONS)
-    return SensorFrame(
-        index=index,
-        stamp_ns=group[0][2].log_time,
-        color_stamp_ns=messages.stamp_ns(found[topics.COLOR]),
-        color=found[topics.COLOR].data,
-        color_format=found[topics.COLOR].format,
-        depth=messages.image_pixels(found[topics.DEPTH], where=at + topics.DEPTH),
-        world_from_camera=require_rigid(
-            messages.parent_from_child(found[topics.TF], where=at + topics.TF),
-            where=at + topics.TF,
-        ),
-        labels=None if labels is None else messages.image_pixels(labels, where=at + topics.LABELS),
-        regions=None if regions is None else regions_of(regions, where=at + topics.REGIONS),
-    )
+class FrameDecoder:
+    """Makes frames of their messages.
+
+    Args:
+        calibration: the recording's cameras; None where they are not known, and then no frame
+            tells of its own.
+        where: the log.
+    """
+
+    def __init__(self, calibration: Calibration | None, *, where: object) -> None:
+        self._calibration, self._where = calibration, where
+        self._decode = MessageDecoder()
+        self._cameras: dict[str, tuple[bytes, Camera]] = {}
+
+    def __call__(self, index: int, group: list[RawMessage]) -> SensorFrame:
+        """Decode a frame; raises a ProgroundError that names frame and topic."""
+        wanted = (*FRAME_TOPICS, topics.LABELS, topics.INSTANCES, topics.REGIONS)
+        at = f"{self._where}, frame {index}, "
+        found = {
+            channel.topic: self._decode(schema, message, where=at + channel.topic)
+            for schema, channel, message in group
+            if channel.topic in wanted
+        }
+        for topic in FRAME_TOPICS:
+            if topic not in found:
+                raise ProgroundError(
+                    "the message is missing", where=at + topic, todo="record the log again"
+                )
+        labels, instances = (
+            messages.image_pixels(found[topic], where=at + topic) if topic in found else None
+            for topic in (topics.LABELS, topics.INSTANCES)
+        )
+        regions = found.get(topics.REGIONS)
+        return SensorFrame(
+            index=index,
+            stamp_ns=group[0][2].log_time,
+            color_stamp_ns=messages.stamp_ns(found[topics.COLOR]),
+            color=found[topics.COLOR].data,
+            color_format=found[topics.COLOR].format,
+            depth=messages.image_pixels(found[topics.DEPTH], where=at + topics.DEPTH),
+            world_from_camera=require_rigid(
+                messages.parent_from_child(found[topics.TF], where=at + topics.TF),
+                where=at + topics.TF,
+            ),
+            labels=labels,
+            instances=instances,
+            calibration=self._own_calibration(group, at),
+            regions=None if regions is None else regions_of(regions, where=at + topics.REGIONS),
+        )
+
+    def _own_calibration(self, group: list[RawMessage], at: str) -> Calibration | None:
+        """The frame's cameras, where they are not the recording's."""
+        known = self._calibration
+        if known is None:
+            return None
+        own = {topics.COLOR_INFO: known.color, topics.DEPTH_INFO: known.depth}
+        for schema, channel, message in group:
+            if channel.topic not in own:
+                continue
+            # Mostly nothing but the time differs from the frame before, and decoding is slow.
+            content = messages.without_stamp(message.data)
+            last = self._cameras.get(channel.topic)
+            if last is None or last[0] != content:
+                where = at + channel.topic
+                camera = messages.camera(self._decode(schema, message, where=where), where=where)
+                last = self._cameras[channel.topic] = content, camera
+            own[channel.topic] = last[1]
+        color, depth = own[topics.COLOR_INFO], own[topics.DEPTH_INFO]
+        if (color, depth) == (known.color, known.depth):
+            return None
+        return replace(known, color=color, depth=depth)

@@ -25,26 +25,27 @@ surfaces: noise grows with depth and stays below, and so does a wall that is not
 
 
 class Registration:
-    """Registers the frames of one rig."""
+    """Registers the frames of a recording.
+
+    Args:
+        calibration: its cameras; a frame that has cameras of its own is registered with those.
+    """
 
     def __init__(self, calibration: Calibration) -> None:
-        self._calibration = calibration
-        self._camera = calibration.depth.pinhole()
-        self._depth_maps = _rectification(calibration.depth)
-        self._color_maps = _rectification(calibration.color)
-        color_from_depth = np.linalg.inv(calibration.depth_from_color)
-        self._color_from_depth = np.ascontiguousarray(color_from_depth[:3], dtype=np.float64)
+        self._rig = _Rig(calibration)
+        self._own_rig = self._rig
 
     def __call__(self, sensor: SensorFrame) -> Frame:
         """Decode and register a frame; raises a ProgroundError that names it."""
+        rig = self._rig_of(sensor)
         color = sensor.decode_color()
         depth_m, labels, regions = sensor.depth_m, sensor.labels, sensor.regions
         owner = None if regions is None else regions.owner
         for image, camera, topic in (
-            (color, self._calibration.color, topics.COLOR),
-            (depth_m, self._calibration.depth, topics.DEPTH),
-            (labels, self._calibration.color, topics.LABELS),
-            (owner, self._calibration.color, topics.REGIONS),
+            (color, rig.calibration.color, topics.COLOR),
+            (depth_m, rig.calibration.depth, topics.DEPTH),
+            (labels, rig.calibration.color, topics.LABELS),
+            (owner, rig.calibration.color, topics.REGIONS),
         ):
             if image is not None and image.shape[:2] != (camera.height, camera.width):
                 raise ProgroundError(
@@ -54,25 +55,21 @@ class Registration:
                     todo="record the log again with the right calibration",
                 )
         valid: np.ndarray = np.ones(color.shape[:2], dtype=np.uint8)
-        if self._depth_maps:
-            depth_m = cv2.remap(depth_m, *self._depth_maps, cv2.INTER_NEAREST)
-        if self._color_maps:
-            color = cv2.remap(color, *self._color_maps, cv2.INTER_LINEAR)
-            valid = cv2.remap(valid, *self._color_maps, cv2.INTER_NEAREST)
-            labels, owner = (_nearest(numbers, *self._color_maps) for numbers in (labels, owner))
-        if not self._calibration.is_registered:
-            rays, k = self._camera.directions, self._calibration.color
-            intrinsics = np.array([k.fx, k.fy, k.cx, k.cy])
-            columns, rows = _color_pixels(
-                depth_m, rays, self._color_from_depth, intrinsics, color.shape[0], color.shape[1]
-            )
+        if rig.depth_maps:
+            depth_m = cv2.remap(depth_m, *rig.depth_maps, cv2.INTER_NEAREST)
+        if rig.color_maps:
+            color = cv2.remap(color, *rig.color_maps, cv2.INTER_LINEAR)
+            valid = cv2.remap(valid, *rig.color_maps, cv2.INTER_NEAREST)
+            labels, owner = (_nearest(numbers, *rig.color_maps) for numbers in (labels, owner))
+        if not rig.calibration.is_registered:
+            columns, rows = rig.color_pixels(depth_m)
             valid = cv2.remap(valid, columns, rows, cv2.INTER_NEAREST, borderValue=0)
             color = cv2.remap(color, columns, rows, cv2.INTER_LINEAR, borderValue=0)
             labels, owner = (_nearest(numbers, columns, rows) for numbers in (labels, owner))
         return Frame(
             index=sensor.index,
             stamp_ns=sensor.stamp_ns,
-            camera=self._camera,
+            camera=rig.camera,
             world_from_camera=sensor.world_from_camera,
             depth_m=depth_m,
             color=color,
@@ -81,6 +78,34 @@ class Registration:
             regions=regions,
             region_of=None if owner is None else _within_surfaces(owner, depth_m),
         )
+
+    def _rig_of(self, sensor: SensorFrame) -> _Rig:
+        """The recording's rig, or the frame's own; the last of these is kept for the next frame."""
+        if sensor.calibration is None:
+            return self._rig
+        if sensor.calibration != self._own_rig.calibration:
+            self._own_rig = _Rig(sensor.calibration)
+        return self._own_rig
+
+
+class _Rig:
+    """What registration computes once for a pair of cameras."""
+
+    def __init__(self, calibration: Calibration) -> None:
+        self.calibration = calibration
+        self.camera = calibration.depth.pinhole()
+        self.depth_maps = _rectification(calibration.depth)
+        self.color_maps = _rectification(calibration.color)
+        color_from_depth = np.linalg.inv(calibration.depth_from_color)
+        self._color_from_depth = np.ascontiguousarray(color_from_depth[:3], dtype=np.float64)
+
+    def color_pixels(self, depth_m: np.ndarray) -> np.ndarray:
+        """See `_color_pixels`."""
+        color = self.calibration.color
+        intrinsics = np.array([color.fx, color.fy, color.cx, color.cy])
+        size = color.height, color.width
+        rays = self.camera.directions
+        return _color_pixels(depth_m, rays, self._color_from_depth, intrinsics, *size)
 
 
 def _nearest(
@@ -111,8 +136,15 @@ def _rectification(camera: Camera) -> tuple[np.ndarray, np.ndarray] | None:
     """The maps for cv2.remap that take the distortion out; None for an ideal lens."""
     if not any(camera.distortion):
         return None
-    k, size = camera.k_integer_centres, (camera.width, camera.height)
-    x, y = cv2.initUndistortRectifyMap(k, np.array(camera.distortion), None, k, size, cv2.CV_32FC1)
+    k, d, size = (
+        camera.k_integer_centres,
+        np.array(camera.distortion),
+        (camera.width, camera.height),
+    )
+    if camera.is_fisheye:
+        x, y = cv2.fisheye.initUndistortRectifyMap(k, d, np.eye(3), k, size, cv2.CV_32FC1)
+    else:
+        x, y = cv2.initUndistortRectifyMap(k, d, None, k, size, cv2.CV_32FC1)
     return x, y
 
 

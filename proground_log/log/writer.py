@@ -19,7 +19,7 @@ from proground_log.files import written_whole
 from proground_log.frame import SensorFrame
 from proground_log.log import messages, topics
 from proground_log.log.palette import label_colors
-from proground_log.log.recording import Recording
+from proground_log.log.recording import Origin, Recording
 
 CHUNK_BYTES = 2 * 1024 * 1024
 
@@ -31,6 +31,7 @@ _MESSAGE_TYPES = {
     topics.TF: "tf2_msgs/msg/TFMessage",
     topics.TF_STATIC: "tf2_msgs/msg/TFMessage",
     topics.LABELS: "sensor_msgs/msg/Image",
+    topics.INSTANCES: "sensor_msgs/msg/Image",
     topics.LABELS_PREVIEW: "sensor_msgs/msg/CompressedImage",
 }
 
@@ -58,27 +59,42 @@ class LogWriter:
     """Writes one log; made by `open_writer`. Regions come later, by `RegionsWriter`.
 
     All messages of a frame carry the frame's time as log time, so that equal times mean one
-    frame; the images' headers keep the sensors' own times.
+    frame; the images' headers keep the sensors' own times. What is known from the start stands
+    first, and the file is brought up to date at least every second of the recording: whatever
+    stops a recorder, `pglog recover` finds all the rest.
+
+    Args:
+        stream: where to write.
+        calibration: the cameras.
+        origin: what the log is of.
+        label_names: class names by label; empty without ground truth.
+        mesh: the labelled ground-truth mesh as binary PLY, where there is one.
     """
 
-    def __init__(self, stream: BinaryIO, calibration: Calibration) -> None:
+    def __init__(
+        self,
+        stream: BinaryIO,
+        calibration: Calibration,
+        origin: Origin,
+        label_names: dict[int, str],
+        mesh: bytes | None,
+    ) -> None:
+        self._stream = stream
         self._calibration = calibration
         self._writer = start_mcap(stream)
+        self._writer.add_metadata(topics.ORIGIN_METADATA, origin.to_metadata())
+        names = json.dumps({str(label): name for label, name in sorted(label_names.items())})
+        self._attach(topics.LABEL_NAMES_ATTACHMENT, "application/json", names.encode())
+        if mesh is not None:
+            self._attach(topics.MESH_ATTACHMENT, "application/x-ply", mesh)
         types = [name for name in messages.DEFINITIONS if name in _MESSAGE_TYPES.values()]
         self._encoders = {name: messages.encoder(name) for name in types}
         self._schema_ids = {name: register_schema(self._writer, name) for name in types}
-        # The same in every frame but for their time, and slow to encode.
-        encode_info = self._encoders["sensor_msgs/msg/CameraInfo"]
-        self._camera_infos = {
-            topic: encode_info(messages.camera_info(camera, 0, frame_id))
-            for topic, camera, frame_id in (
-                (topics.COLOR_INFO, calibration.color, topics.COLOR_FRAME),
-                (topics.DEPTH_INFO, calibration.depth, topics.DEPTH_FRAME),
-            )
-        }
+        self._camera_infos = self._encoded_infos(calibration)
         self._channel_ids: dict[str, int] = {}
         self._frames = 0
         self._last_stamp_ns = -1
+        self._flushed_second = -1
         self._is_finished = False
 
     @property
@@ -100,10 +116,13 @@ class LogWriter:
                 where=f"frame {frame.index}",
                 todo="put the source's frames in order of time",
             )
-        cameras = self._calibration
+        cameras, infos = self._calibration, self._camera_infos
+        if frame.calibration is not None:
+            cameras, infos = frame.calibration, self._encoded_infos(frame.calibration)
         for pixels, camera, what in (
             (frame.depth, cameras.depth, "depth image"),
             (frame.labels, cameras.color, "label image"),
+            (frame.instances, cameras.color, "instance image"),
         ):
             if pixels is not None and pixels.shape != (camera.height, camera.width):
                 raise ProgroundError(
@@ -115,14 +134,14 @@ class LogWriter:
         self._last_stamp_ns = stamp_ns
         if self._frames == 0:
             mount = messages.transform_message(
-                cameras.depth_from_color, stamp_ns, topics.DEPTH_FRAME, topics.COLOR_FRAME
+                self._calibration.depth_from_color, stamp_ns, topics.DEPTH_FRAME, topics.COLOR_FRAME
             )
             self._add(topics.TF_STATIC, stamp_ns, mount)
         pose = messages.transform_message(
             frame.world_from_camera, stamp_ns, topics.WORLD_FRAME, topics.DEPTH_FRAME
         )
         self._add(topics.TF, stamp_ns, pose)
-        for topic, encoded in self._camera_infos.items():
+        for topic, encoded in infos.items():
             self._add_encoded(topic, stamp_ns, messages.restamped(encoded, stamp_ns))
         color = messages.compressed_image(
             frame.color, frame.color_format, frame.color_stamp_ns, topics.COLOR_FRAME
@@ -133,7 +152,25 @@ class LogWriter:
         self._add(topics.DEPTH, stamp_ns, depth)
         if frame.labels is not None:
             self._write_labels(frame.labels, stamp_ns)
+        if frame.instances is not None:
+            exact = messages.image(frame.instances, "mono16", stamp_ns, topics.COLOR_FRAME)
+            self._add(topics.INSTANCES, stamp_ns, exact)
         self._frames += 1
+        if stamp_ns // 1_000_000_000 != self._flushed_second:
+            self._flushed_second = stamp_ns // 1_000_000_000
+            self._writer.flush()
+        self._stream.flush()
+
+    def _encoded_infos(self, calibration: Calibration) -> dict[str, bytes]:
+        """Messages that mostly differ between frames in their time alone, slow to encode."""
+        encode = self._encoders["sensor_msgs/msg/CameraInfo"]
+        return {
+            topic: encode(messages.camera_info(camera, 0, frame_id))
+            for topic, camera, frame_id in (
+                (topics.COLOR_INFO, calibration.color, topics.COLOR_FRAME),
+                (topics.DEPTH_INFO, calibration.depth, topics.DEPTH_FRAME),
+            )
+        }
 
     def _write_labels(self, labels: np.ndarray, stamp_ns: int) -> None:
         exact = messages.image(labels, "mono16", stamp_ns, topics.COLOR_FRAME)
@@ -163,26 +200,27 @@ class LogWriter:
             data=data,
         )
 
-    def finish(self, recording: Recording, label_names: dict[int, str], mesh: bytes | None) -> None:
+    def finish(self, recording: Recording) -> None:
         """Write what is known at the end, and the index."""
         self._writer.add_metadata(topics.RECORDING_METADATA, recording.to_metadata())
-        names = json.dumps({str(label): name for label, name in sorted(label_names.items())})
-        self._attach(topics.LABEL_NAMES_ATTACHMENT, "application/json", names.encode())
-        if mesh is not None:
-            self._attach(topics.MESH_ATTACHMENT, "application/x-ply", mesh)
         self._writer.finish()
         self._is_finished = True
 
     def _attach(self, name: str, media_type: str, data: bytes) -> None:
-        time_ns = max(self._last_stamp_ns, 0)
-        self._writer.add_attachment(time_ns, time_ns, name, media_type, data)
+        self._writer.add_attachment(0, 0, name, media_type, data)
 
 
 @contextmanager
-def open_writer(path: Path, calibration: Calibration) -> Iterator[LogWriter]:
+def open_writer(
+    path: Path,
+    calibration: Calibration,
+    origin: Origin,
+    label_names: dict[int, str],
+    mesh: bytes | None,
+) -> Iterator[LogWriter]:
     """Write a log to `path`, which takes its name only once `LogWriter.finish` was called."""
     with written_whole(path) as temporary, temporary.open("wb") as stream:
-        writer = LogWriter(stream, calibration)
+        writer = LogWriter(stream, calibration, origin, label_names, mesh)
         yield writer
         if not writer.is_finished:
             raise RuntimeError(f"{path} was not finished")

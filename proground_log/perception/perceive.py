@@ -9,7 +9,7 @@ from pathlib import Path
 from proground_log.files import require_free, written_whole
 from proground_log.frame import SensorFrame
 from proground_log.log import messages, topics
-from proground_log.log.reader import LogReader, MessageDecoder, decode_frame
+from proground_log.log.reader import FrameDecoder, LogReader
 from proground_log.log.region_message import decode_regions, encode_regions
 from proground_log.log.regions_writer import RegionsWriter
 from proground_log.log.task_record import TaskRecord
@@ -50,7 +50,8 @@ def perceive(
     reader, description = LogReader(log), perceiver.description
     task, attachment = description.task, description.to_bytes()
     tally = Tally(task, reader.label_names)
-    decode, encode_preview = MessageDecoder(), messages.encoder(messages.COMPRESSED_IMAGE_TYPE)
+    encode_preview = messages.encoder(messages.COMPRESSED_IMAGE_TYPE)
+    decode = FrameDecoder(reader.calibration, where=log)
     with (
         open_journal(journal_path(output), _key(log, attachment)) as journal,
         written_whole(output) as temporary,
@@ -60,7 +61,7 @@ def perceive(
         progress(0, len(reader))
         for index, group in enumerate(reader.groups()):
             others = [item for item in group if item[1].topic not in topics.PERCEPTION]
-            sensor = decode_frame(index, others, decode, where=log)
+            sensor = decode(index, others)
             if index == len(journal):
                 journal.append(encode_regions(perceiver(sensor), sensor.color_stamp_ns))
             # Read back also when they are new, so that an interruption cannot make a difference.

@@ -60,6 +60,7 @@ class RoomSource:
         self.calibration = Calibration.registered(CAMERA)
         self.label_names: dict[int, str] = dict(LABEL_NAMES)
         self.notes = {"seed": str(seed), "sensor noise": "yes" if noise else "no"}
+        self.warnings: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self._poses)

@@ -26,7 +26,7 @@ from proground_log.log import topics
 from proground_log.log.info import log_info
 from proground_log.log.messages import DEFINITIONS
 from proground_log.log.reader import LogReader
-from proground_log.log.recording import Recording
+from proground_log.log.recording import Origin, Recording
 from proground_log.log.writer import open_writer
 from tests.small_source import BOUNDS, CAMERA, LABEL_NAMES, MESH, SmallSource, with_frame, write_log
 
@@ -280,7 +280,8 @@ def test_a_log_that_was_not_finished_never_takes_its_name(tmp_path: Path) -> Non
     path = tmp_path / "a.mcap"
 
     def forgetful() -> None:
-        with open_writer(path, SmallSource().calibration) as writer:
+        origin = Origin("small data", "small", {})
+        with open_writer(path, SmallSource().calibration, origin, {}, None) as writer:
             writer.write(SmallSource().frame(0))
 
     with pytest.raises(RuntimeError, match="was not finished"):
@@ -292,3 +293,35 @@ def test_label_names_are_plain_json(tmp_path: Path) -> None:
     reader = LogReader(write_log(tmp_path / "a.mcap", SmallSource(1, with_labels=True)))
     names = json.loads(reader.attachment(topics.LABEL_NAMES_ATTACHMENT) or b"")
     assert names == {str(label): name for label, name in LABEL_NAMES.items()}
+
+
+@pytest.mark.parametrize(
+    "distortion", [(0.1, -0.02, 0.01, -0.004), (0.2, -0.9, 0.0, 0.01, 1.1, 0.3, -0.7, 0.9)]
+)
+def test_every_lens_comes_back(tmp_path: Path, distortion: tuple[float, ...]) -> None:
+    rig = Calibration.registered(replace(CAMERA, distortion=distortion))
+    reader = LogReader(write_log(tmp_path / "a.mcap", SmallSource(1, rig)))
+    assert reader.calibration == rig
+
+
+def test_a_frame_keeps_cameras_and_things_of_its_own(tmp_path: Path) -> None:
+    source = SmallSource(4, RIG, with_labels=True)
+    refocused = replace(RIG, color=replace(COLOR, fx=39.0), depth=replace(CAMERA, cx=15.5))
+    instances = np.arange(30 * 40, dtype=np.uint16).reshape(30, 40)
+    frames = with_frame(source, 2, calibration=refocused, instances=instances)
+    first, _, third, fourth = LogReader(
+        write_log(tmp_path / "a.mcap", frames=frames, source=source)
+    ).frames()
+    assert first.calibration is None
+    assert fourth.calibration is None
+    assert third.calibration is not None
+    assert (third.calibration.color, third.calibration.depth) == (refocused.color, refocused.depth)
+    assert first.instances is None
+    np.testing.assert_array_equal(third.instances, instances)
+
+
+def test_what_is_known_from_the_start_stands_before_the_frames(tmp_path: Path) -> None:
+    path = write_log(tmp_path / "a.mcap", SmallSource(1, with_labels=True))
+    with path.open("rb") as stream:
+        names = [type(record).__name__ for record in StreamReader(stream, emit_chunks=True).records]
+    assert names.index("Metadata") < names.index("Attachment") < names.index("Chunk")

@@ -19,6 +19,7 @@ from tests.small_source import CAMERA, SmallSource
 
 COLOR = Camera(48, 40, 40.0, 41.0, 24.5, 19.0)
 LENS = (0.12, -0.2, 0.003, -0.002, 0.05)
+FISHEYE = (0.1, -0.02, 0.01, -0.004)
 
 
 def rig(*, color: Camera = COLOR, baseline_m: float = 0.1) -> Calibration:
@@ -146,14 +147,18 @@ def test_millimetres_become_metres() -> None:
     np.testing.assert_allclose(depth_m, sensor.depth / 1000.0, rtol=2e-7)
 
 
-def test_distortion_is_taken_out_as_opencv_does_it() -> None:
-    camera = replace(CAMERA, distortion=LENS)
+@pytest.mark.parametrize("lens", [LENS, (*LENS, 0.02, -0.01, 0.005), FISHEYE])
+def test_distortion_is_taken_out_as_opencv_does_it(lens: tuple[float, ...]) -> None:
+    camera = replace(CAMERA, distortion=lens)
     calibration = Calibration.registered(camera)
     sensor = sensor_frame(calibration, smooth_depth(0))
     frame = Registration(calibration)(sensor)
     assert frame.camera == CAMERA
-    k, lens = camera.k_integer_centres, np.array(LENS)
-    expected = cv2.undistort(sensor.decode_color(), k, lens)
+    k, d = camera.k_integer_centres, np.array(lens)
+    if lens == FISHEYE:
+        expected = cv2.fisheye.undistortImage(sensor.decode_color(), k, d, Knew=k)
+    else:
+        expected = cv2.undistort(sensor.decode_color(), k, d)
     assert np.abs(frame.color.astype(int) - expected).max() <= 4
     # Depth and labels are taken from one pixel, never mixed: the one that the lens shows there.
     pixels = camera.project(CAMERA.directions.reshape(-1, 3).astype(np.float64))
@@ -167,6 +172,17 @@ def test_distortion_is_taken_out_as_opencv_does_it() -> None:
         nearest = np.where(inside, source[rows, columns], 0)
         np.testing.assert_array_equal(found[sure], nearest[sure])
     np.testing.assert_array_equal(frame.color_valid[sure], inside[sure])
+
+
+def test_a_frame_with_cameras_of_its_own_is_registered_with_them() -> None:
+    recording = rig()
+    own = rig(color=replace(COLOR, fx=44.0, distortion=LENS))
+    register = Registration(recording)
+    sensor = sensor_frame(own, smooth_depth(1))
+    expected = Registration(own)(sensor)
+    found = register(replace(sensor, calibration=own))
+    np.testing.assert_array_equal(found.color, expected.color)
+    assert not np.array_equal(register(sensor).color, expected.color)
 
 
 def test_a_distorted_colour_camera_is_undistorted_before_the_lookup() -> None:

@@ -17,7 +17,7 @@ from proground_log.camera import Calibration
 from proground_log.errors import ProgroundError
 from proground_log.events import Event, TaskKnown
 from proground_log.frame import SensorFrame
-from proground_log.log.recording import Recording
+from proground_log.log.recording import Origin, Recording
 from proground_log.log.writer import open_writer
 from proground_log.telemetry import rerun_sink
 from proground_log.telemetry.blueprint import replay_blueprint
@@ -171,7 +171,8 @@ def test_the_budget_tab_draws_the_schedule(tmp_path: Path, monkeypatch: pytest.M
 def test_a_log_shows_depth_in_space_and_its_images(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     log = tmp_path / "tiny.mcap"
-    with open_writer(log, Calibration.registered(stream.CAMERA)) as writer:
+    origin, names = Origin("tiny", "test", {}), {1: "near", 2: "far"}
+    with open_writer(log, Calibration.registered(stream.CAMERA), origin, names, None) as writer:
         for index in range(2):
             pose = np.eye(4)
             pose[:3, 3] = stream.position_m(index)
@@ -184,7 +185,7 @@ def test_a_log_shows_depth_in_space_and_its_images(tmp_path: Path) -> None:
             )
             writer.write(frame)
         bounds = Bounds((-4.0, -4.0, -4.0), (4.0, 4.0, 4.0))
-        writer.finish(Recording("tiny", "test", 2, bounds, {}), {1: "near", 2: "far"}, None)
+        writer.finish(Recording("tiny", "test", 2, bounds, {}))
     picture = tmp_path / "viewer.png"
     assert screenshot([log], picture, (800, 500)) == []
     assert_drawn(
