@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from proground_log.errors import ProgroundError
+from proground_log.locations import is_remote
 
 _REMEDIES = {
     errno.ENOSPC: "free some space or write elsewhere",
@@ -24,8 +25,10 @@ def require_file(path: Path) -> Path:
     """Return `path`; raise a ProgroundError unless it is a file that is there."""
     if not path.is_file():
         what = "is a folder, not a file" if path.is_dir() else "no such file"
+        if is_remote(path):
+            what += ", or it cannot be reached"
         raise ProgroundError(what, where=path, todo="check the path")
-    if not os.access(path, os.R_OK):
+    if not is_remote(path) and not os.access(path, os.R_OK):
         raise ProgroundError("may not be read", where=path, todo="check the permissions")
     return path
 

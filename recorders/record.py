@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from proground_log.errors import ProgroundError
 from proground_log.files import require_free
 from proground_log.frame import Selection
 from proground_log.log.recording import Origin, Recording
 from proground_log.log.writer import open_writer
 from recorders.bounds import BoundsEstimator
-from recorders.prefetch import prefetched
+from recorders.prefetch import default_jobs, prefetched
 from recorders.source import Source
 
 
@@ -22,6 +23,7 @@ def record(
     *,
     overwrite: bool,
     progress: Callable[[int, int], None],
+    jobs: int | None = None,
 ) -> Recording:
     """Write the selected frames of a source into a log, one at a time.
 
@@ -32,18 +34,22 @@ def record(
         selection: which frames.
         overwrite: replace a log that is there.
         progress: told the frames written and the frames in all.
+        jobs: threads to read with; None for what the machine has. The log is the same.
 
     Returns:
         What the log says about itself.
     """
     require_free(output, overwrite=overwrite)
+    jobs = default_jobs() if jobs is None else jobs
+    if jobs < 1:
+        raise ProgroundError(f"{jobs} jobs are asked for", where="record", todo="ask for 1 or more")
     chosen = selection.of(len(source))
     estimator = BoundsEstimator()
     origin = Origin(source_name, source.name, source.notes)
     mesh = source.ground_truth_mesh()
     with open_writer(output, source.calibration, origin, source.label_names, mesh) as writer:
         progress(0, len(chosen))
-        for done, frame in enumerate(prefetched(source.frame, chosen), start=1):
+        for done, frame in enumerate(prefetched(source.frame, chosen, jobs), start=1):
             estimator.add(frame, (frame.calibration or source.calibration).depth)
             writer.write(frame)
             progress(done, len(chosen))

@@ -18,6 +18,7 @@ from proground_log.errors import ProgroundError
 from proground_log.field.config import FieldConfig, SemanticSpace
 from proground_log.files import require_file, written_whole
 from proground_log.frame import Selection
+from proground_log.locations import located
 from proground_log.log.reader import LogReader
 from proground_log.mapping.config import (
     BufferConfig,
@@ -137,7 +138,7 @@ def open_log_of(manifest: Manifest, log_path: Path | None) -> LogReader:
     Raises:
         ProgroundError: it is another log.
     """
-    reader = LogReader(log_path or Path(manifest.log_path))
+    reader = LogReader(log_path or located(manifest.log_path))
     if file_sha256(reader.path) != manifest.log_sha256:
         raise ProgroundError(
             "is not the log that the run was made of", where=reader.path, todo="give it with --log"

@@ -13,6 +13,7 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 from proground_log.errors import ProgroundError
 from proground_log.events import MeshExtracted
 from proground_log.files import require_file
+from proground_log.locations import located
 from proground_log.log.reader import LogReader
 from proground_log.mapping.map_file import NeuralMap, load_map
 from proground_log.perception.description import PerceptionDescription
@@ -176,7 +177,7 @@ def draw_answers(
             way is up, and without it z is.
     """
     run = RunFolder(run_path)
-    log_path = log_path or Path(Manifest.read(run.manifest).log_path)
+    log_path = log_path or located(Manifest.read(run.manifest).log_path)
     pose = next(LogReader(log_path).frames([0])).world_from_camera if log_path.is_file() else None
     drawings = [
         QueryDrawing(

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 from rich.console import Console
 from rich.table import Column, Table
 from tyro.conf import Positional
+from tyro.constructors import PrimitiveConstructorSpec
+
+from proground_log.locations import located
 
 SAME, DIFFERENT, FAILED, STOPPED = 0, 1, 2, 130
 """Exit codes; STOPPED is what a shell expects after Ctrl-C."""
@@ -19,9 +22,30 @@ SAME, DIFFERENT, FAILED, STOPPED = 0, 1, 2, 130
 out = Console(markup=False, emoji=False, highlight=False)
 err = Console(stderr=True)
 
-Log = Annotated[Path, Positional, tyro.conf.arg(metavar="LOG")]
+
+def _place(metavar: str) -> PrimitiveConstructorSpec[Any]:
+    """How an argument that may be a URL is read."""
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar=metavar,
+        instance_from_str=lambda texts: located(texts[0]),
+        is_instance=lambda value: value is None or hasattr(value, "read_bytes"),
+        str_from_instance=lambda path: [str(path)],
+    )
+
+
+Log = Annotated[Path, Positional, _place("LOG")]
+MaybeLog = Annotated[Path | None, Positional, _place("LOG"), tyro.conf.arg(help_behavior_hint="")]
+MaybeSource = Annotated[
+    Path | None, Positional, _place("SOURCE"), tyro.conf.arg(help_behavior_hint="")
+]
+LogsAndRuns = Annotated[
+    tuple[Annotated[Path, _place("LOG|RUN")], ...],
+    Positional,
+    tyro.conf.arg(help_behavior_hint=""),
+]
 Run = Annotated[Path, Positional, tyro.conf.arg(metavar="RUN")]
-Output = Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="PATH")]
+Output = Annotated[Path, tyro.conf.arg(aliases=["-o"]), _place("PATH")]
 AsJson = Annotated[bool, tyro.conf.arg(name="json")]
 MaybeInt = Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")]
 MaybeFloat = Annotated[float | None, tyro.conf.arg(metavar="FLOAT", help_behavior_hint="")]

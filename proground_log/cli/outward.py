@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import tyro
 from tyro.conf import Positional
 
-from proground_log.cli.common import SAME, Output, Run, err
+from proground_log.cli.common import SAME, LogsAndRuns, Output, Run, err
 from proground_log.errors import ProgroundError
 
 
@@ -45,9 +44,7 @@ def export_command(
 
 
 def view_command(
-    paths: Annotated[
-        tuple[Path, ...], Positional, tyro.conf.arg(metavar="LOG|RUN ...", help_behavior_hint="")
-    ] = (),
+    paths: LogsAndRuns = (),
     *,
     web: bool = False,
 ) -> int:

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.table import Table
-from tyro.conf import Positional
 
 from proground_log.cli.common import (
     SAME,
     STOPPED,
     AsJson,
     MaybeInt,
+    MaybeLog,
     MaybePath,
     Output,
     Run,
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 def replay_command(
-    log: Annotated[Path | None, Positional, tyro.conf.arg(metavar="LOG")] = None,
+    log: MaybeLog = None,
     *,
     output: Output,
     config: Annotated[ReplayConfig, tyro.conf.arg(name="")] = ReplayConfig(),

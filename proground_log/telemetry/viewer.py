@@ -18,6 +18,7 @@ from rerun.experimental import ViewerClient
 
 from proground_log.errors import ProgroundError
 from proground_log.files import require_file
+from proground_log.locations import local_copy
 from proground_log.log.reader import LogReader
 from proground_log.telemetry.blueprint import log_blueprint
 from proground_log.telemetry.upright import up_vector
@@ -148,7 +149,8 @@ def _convert(log: Path, recording_path: Path) -> Path:
         with_labels=first.labels is not None, up=up_vector(first.world_from_camera)
     )
     recording.save(recording_path, default_blueprint=blueprint)
-    recording.log_file_from_path(log)
+    with local_copy(log) as file:
+        recording.log_file_from_path(file)
     recording.flush()
     recording.disconnect()
     return recording_path

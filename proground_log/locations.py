@@ -1,0 +1,69 @@
+"""Places near and far: a path on this machine, or a URL that acts like one."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, cast
+
+from proground_log.errors import ProgroundError
+
+INSTALL = "pip install 'proground-log[remote]'"
+
+
+def located(text: str) -> Path:
+    """The path that a text means; `s3://`, `gs://`, `https://` and others of fsspec are URLs.
+
+    What comes back for a URL is a `UPath`, which has the methods of a `Path` that read and write.
+
+    Raises:
+        ProgroundError: what URLs need is not installed, or nothing knows such URLs.
+    """
+    if "://" not in text:
+        return Path(text)
+    try:
+        from upath import UPath
+
+        return cast(Path, UPath(text))
+    except ImportError as error:
+        raise ProgroundError(f"URLs need more ({error})", where=text, todo=INSTALL) from error
+    except ValueError as error:
+        todo = "use s3://, gs://, https:// or another that fsspec knows"
+        raise ProgroundError(f"no such kind of URL ({error})", where=text, todo=todo) from error
+
+
+def is_remote(path: Path) -> bool:
+    """Whether a path is a URL."""
+    return not isinstance(path, Path)
+
+
+@contextmanager
+def local_copy(path: Path) -> Iterator[Path]:
+    """The file or folder on this machine, for libraries that know no other: fetched from a URL."""
+    if not is_remote(path):
+        yield path
+        return
+    with tempfile.TemporaryDirectory(prefix="pglog-") as folder:
+        target = Path(folder) / path.name
+        remote: Any = path
+        remote.fs.get(remote.path, str(target), recursive=path.is_dir())
+        yield target
+
+
+def upload(file: Path, path: Path) -> None:
+    """Put a file of this machine where a URL says, whole or not at all."""
+    remote: Any = path
+    remote.fs.put_file(str(file), remote.path)
+
+
+@contextmanager
+def scratch_file(name: str) -> Iterator[Path]:
+    """A path for a file of this name that is gone afterwards."""
+    folder = Path(tempfile.mkdtemp(prefix="pglog-"))
+    try:
+        yield folder / name
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
