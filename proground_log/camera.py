@@ -63,6 +63,11 @@ class Camera:
         )
 
     @property
+    def is_ideal(self) -> bool:
+        """Whether straight lines stay straight; a fisheye bends them even with terms of 0."""
+        return not any(self.distortion) and not self.is_fisheye
+
+    @property
     def is_fisheye(self) -> bool:
         """Whether the distortion is that of OpenCV's fisheye model."""
         return len(self.distortion) == FISHEYE_TERMS
@@ -84,7 +89,7 @@ class Camera:
         """Ray direction through each pixel's centre, z = 1, camera axes, float32 [H, W, 3]."""
         u, v = np.meshgrid(np.arange(self.width), np.arange(self.height))
         pixels = np.stack([u, v], axis=-1).reshape(-1, 1, 2).astype(np.float64)
-        if any(self.distortion):
+        if not self.is_ideal:
             k, d = self.k_integer_centres, np.array(self.distortion)
             undistort = cv2.fisheye.undistortPoints if self.is_fisheye else cv2.undistortPoints
             xy = undistort(pixels, k, d, criteria=_UNTIL)
@@ -96,7 +101,7 @@ class Camera:
     def project(self, points_m: np.ndarray) -> np.ndarray:
         """Pixel coordinates [N, 2] of points [N, 3] in front of the camera (camera axes)."""
         xy = points_m[:, :2] / points_m[:, 2:]
-        if any(self.distortion):
+        if not self.is_ideal:
             points = np.concatenate([xy, np.ones_like(xy[:, :1])], axis=1).astype(np.float64)
             k, d = self.k_integer_centres, np.array(self.distortion)
             still = np.zeros((3, 1))

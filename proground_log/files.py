@@ -11,6 +11,9 @@ from pathlib import Path
 from proground_log.errors import ProgroundError
 from proground_log.locations import is_remote
 
+PARTIAL = ".partial"
+"""What the name of a file ends in that is not yet whole."""
+
 _REMEDIES = {
     errno.ENOSPC: "free some space or write elsewhere",
     errno.EDQUOT: "free some space or write elsewhere",
@@ -31,6 +34,16 @@ def require_file(path: Path) -> Path:
     if not is_remote(path) and not os.access(path, os.R_OK):
         raise ProgroundError("may not be read", where=path, todo="check the permissions")
     return path
+
+
+def nearest_above(folder: Path, name: str) -> Path | None:
+    """The file of that name in the folder, else in the nearest folder above that has it."""
+    place = folder.absolute()
+    while not (place / name).is_file():
+        if place == place.parent:
+            return None
+        place = place.parent
+    return place / name
 
 
 def require_free(path: Path, *, overwrite: bool) -> Path:
@@ -66,17 +79,27 @@ def disk_errors(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def written_whole(path: Path) -> Iterator[Path]:
+def written_whole(
+    path: Path, *, suffix: str = PARTIAL, kept_on: tuple[type[BaseException], ...] = ()
+) -> Iterator[Path]:
     """Give a temporary path beside `path` that takes its name only once it is written whole.
 
-    On any error the temporary file is removed, so that nothing half-written ever stands under
-    the final name.
+    On an error the temporary file is removed, so that nothing half-written ever stands under the
+    final name.
+
+    Args:
+        path: the final name.
+        suffix: what the temporary file is called besides.
+        kept_on: errors that leave the temporary file where it is: what it holds is of use.
     """
-    temporary = path.with_name(path.name + ".partial")
+    temporary = path.with_name(path.name + suffix)
     with disk_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
             yield temporary
             temporary.replace(path)
-        finally:
+        except kept_on:
+            raise
+        except BaseException:
             temporary.unlink(missing_ok=True)
+            raise

@@ -61,6 +61,15 @@ def parse_pose(text: str, *, where: object) -> np.ndarray:
     Raises:
         ProgroundError: other than 16 numbers, numbers that are not finite, or not rigid.
     """
+    return require_rigid(parse_matrix(text, where=where), where=where)
+
+
+def parse_matrix(text: str, *, where: object) -> np.ndarray:
+    """The 4x4 matrix, float64, of 16 numbers in text, row by row; they may be inf or nan.
+
+    Raises:
+        ProgroundError: other than 16 numbers.
+    """
     try:
         numbers = np.array(text.split(), dtype=np.float64)
     except ValueError:
@@ -71,7 +80,7 @@ def parse_pose(text: str, *, where: object) -> np.ndarray:
             where=where,
             todo="leave the frame out, or mend its pose in the source",
         )
-    return require_rigid(numbers.reshape(4, 4), where=where)
+    return numbers.reshape(4, 4)
 
 
 def associate(

@@ -89,7 +89,7 @@ class BoundsEstimator:
             a, b, c, offset_m = frame.world_from_camera[axis]
             # Written out, not as a matrix product: BLAS may add in another order elsewhere.
             values_m = a * x + b * y + c * z + offset_m
-            if np.abs(values_m).max() > FARTHEST_M:
+            if not np.abs(values_m).max() <= FARTHEST_M:  # Also where a number is none.
                 raise ProgroundError(
                     f"has a point {np.abs(values_m).max():.3g} m from the origin",
                     where=f"frame {frame.index}",

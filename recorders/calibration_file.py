@@ -1,4 +1,4 @@
-"""A rig's calibration from a JSON file, to override what a format is known to have."""
+"""A rig's calibration, to override what a format is known to have: a JSON file or a log."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from proground_log.camera import Calibration, Camera, require_rigid
 from proground_log.errors import ProgroundError
 from proground_log.files import require_file
+from proground_log.log.reader import LogReader
 
 EXAMPLE = (
     '{"depth": {"width": 640, "height": 480, "fx": 585, "fy": 585, "cx": 320, "cy": 240}, '
@@ -21,8 +22,11 @@ EXAMPLE = (
 def read_calibration(path: Path) -> Calibration:
     """Read a calibration; principal points count pixel centres as whole numbers (OpenCV, ROS).
 
-    `color` defaults to the depth camera and `depth_from_color` to the identity: a registered rig.
+    Of a log (.mcap) it is that of its recording. In a JSON file `color` defaults to the depth
+    camera and `depth_from_color` to the identity: a registered rig.
     """
+    if path.suffix == ".mcap":
+        return LogReader(path).calibration
     try:
         content = json.loads(require_file(path).read_text())
         depth = _camera(content["depth"])
@@ -39,8 +43,11 @@ def _camera(content: dict[str, Any]) -> Camera:
     distortion = tuple(float(value) for value in content.get("distortion", ()))
     width, height = int(content["width"]), int(content["height"])
     fx, fy, cx, cy = (float(content[name]) for name in ("fx", "fy", "cx", "cy"))
-    if len(distortion) not in (0, 5):
-        raise ValueError(f"{len(distortion)} numbers of distortion, not k1 k2 p1 p2 k3")
+    if len(distortion) not in (0, 4, 5, 8):
+        raise ValueError(
+            f"{len(distortion)} numbers of distortion, not k1 k2 p1 p2 k3 (and k4 k5 k6), "
+            "nor k1 k2 k3 k4 of a fisheye"
+        )
     if not (np.isfinite([cx, cy, *distortion]).all() and 0 < min(fx, fy) <= max(fx, fy) < np.inf):
         raise ValueError("a number is not finite, or a focal length not above 0")
     if min(width, height) < 1:

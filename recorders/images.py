@@ -67,23 +67,27 @@ def numbered_files(folder: Path, pattern: str) -> dict[int, Path]:
 
 
 def read_encoded(path: Path) -> EncodedImage:
-    """Read a JPEG or PNG file without decoding it.
+    """Read a JPEG or PNG file without decoding it; errors as `encoded_image`."""
+    return encoded_image(require_file(path).read_bytes(), where=path)
+
+
+def encoded_image(data: bytes, *, where: object) -> EncodedImage:
+    """The bytes of a JPEG or PNG file, not decoded, with what its header says.
 
     Raises:
-        ProgroundError: the file is missing, is neither format, or is cut short.
+        ProgroundError: the bytes are neither format, or are cut short.
     """
-    data = require_file(path).read_bytes()
     try:
         with Image.open(io.BytesIO(data)) as image:
             kind, (width, height) = image.format, image.size
-    except (UnidentifiedImageError, OSError, SyntaxError) as error:
-        raise ProgroundError("is not a readable image", where=path, todo=COPY_AGAIN) from error
+    except (UnidentifiedImageError, Image.DecompressionBombError, OSError, SyntaxError) as error:
+        raise ProgroundError("is not a readable image", where=where, todo=COPY_AGAIN) from error
     if kind not in ("JPEG", "PNG"):
         raise ProgroundError(
-            f"is a {kind} image", where=path, todo="convert the images to JPEG or PNG"
+            f"is a {kind} image", where=where, todo="convert the images to JPEG or PNG"
         )
     if not is_whole(data, kind.lower()):
-        raise ProgroundError(f"the {kind} image is cut short", where=path, todo=COPY_AGAIN)
+        raise ProgroundError(f"the {kind} image is cut short", where=where, todo=COPY_AGAIN)
     return EncodedImage(data, kind.lower(), width, height)
 
 
@@ -98,7 +102,7 @@ def encoded_png(pixels: np.ndarray) -> bytes:
 def read_color(path: Path, camera: Camera) -> EncodedImage:
     """Read a colour file without decoding it; raise a ProgroundError unless it fits the camera."""
     image = read_encoded(path)
-    _require_size(path, (image.width, image.height), camera)
+    require_size(path, (image.width, image.height), camera)
     return image
 
 
@@ -117,7 +121,7 @@ def read_depth(path: Path, camera: Camera) -> np.ndarray:
             where=path,
             todo="depth has to be a PNG of 16 bits and one channel",
         )
-    _require_size(path, (depth.shape[1], depth.shape[0]), camera)
+    require_size(path, (depth.shape[1], depth.shape[0]), camera)
     return depth
 
 
@@ -134,7 +138,7 @@ def read_labels(path: Path, camera: Camera) -> np.ndarray:
             where=path,
             todo="classes have to be a PNG of 8 or 16 bits and one channel",
         )
-    _require_size(path, (labels.shape[1], labels.shape[0]), camera)
+    require_size(path, (labels.shape[1], labels.shape[0]), camera)
     return labels.astype(np.uint16)
 
 
@@ -150,10 +154,11 @@ def _decode_png(path: Path) -> np.ndarray:
     return np.asarray(image)
 
 
-def _require_size(path: Path, size: tuple[int, int], camera: Camera) -> None:
+def require_size(where: object, size: tuple[int, int], camera: Camera) -> None:
+    """Raise a ProgroundError unless an image of this (width, height) fits the camera."""
     if size != (camera.width, camera.height):
         raise ProgroundError(
             f"is {size[0]}x{size[1]}, but the calibration is for {camera.width}x{camera.height}",
-            where=path,
+            where=where,
             todo="pass the calibration of these images, or remove the ones that do not belong",
         )

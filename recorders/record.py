@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from proground_log.errors import ProgroundError
-from proground_log.files import require_free
+from proground_log.files import PARTIAL, require_free
 from proground_log.frame import Selection
+from proground_log.log.consistency import Consistency
 from proground_log.log.recording import Origin, Recording
 from proground_log.log.writer import open_writer
 from recorders.bounds import BoundsEstimator
 from recorders.prefetch import default_jobs, prefetched
 from recorders.source import Source
+from recorders.survey import count_frames
 
 
 def record(
@@ -26,6 +29,9 @@ def record(
     jobs: int | None = None,
 ) -> Recording:
     """Write the selected frames of a source into a log, one at a time.
+
+    The frames are compared with one another on the way: what looks wrong becomes a warning. Where
+    the user or the disk stops it, what is written stays beside the output.
 
     Args:
         source: the data set.
@@ -44,22 +50,47 @@ def record(
     if jobs < 1:
         raise ProgroundError(f"{jobs} jobs are asked for", where="record", todo="ask for 1 or more")
     chosen = selection.of(len(source))
-    estimator = BoundsEstimator()
+    estimator, consistency = BoundsEstimator(), Consistency()
     origin = Origin(source_name, source.name, source.notes)
     mesh = source.ground_truth_mesh()
-    with open_writer(output, source.calibration, origin, source.label_names, mesh) as writer:
+    with (
+        _partial_named(output),
+        open_writer(output, source.calibration, origin, source.label_names, mesh) as writer,
+    ):
         progress(0, len(chosen))
         for done, frame in enumerate(prefetched(source.frame, chosen, jobs), start=1):
             estimator.add(frame, (frame.calibration or source.calibration).depth)
+            consistency.add(frame, source.calibration)
             writer.write(frame)
             progress(done, len(chosen))
+        report = consistency.report()
         recording = Recording(
             source=source_name,
             format=source.name,
             frames=writer.frames,
             bounds=estimator.bounds(),
-            notes=source.notes,
-            warnings=source.warnings,
+            notes={**source.notes, "agreement": report.note},
+            warnings=(*source.warnings, *report.warnings),
         )
         writer.finish(recording)
     return recording
+
+
+@contextmanager
+def _partial_named(output: Path) -> Iterator[None]:
+    """Where a recording is stopped and something of it stays, say how to save that."""
+    try:
+        yield
+    except (KeyboardInterrupt, ProgroundError) as error:
+        partial = output.with_name(output.name + PARTIAL)
+        if not partial.is_file():
+            raise
+        frames = count_frames(partial)
+        if not frames:
+            partial.unlink()
+            raise
+        todo = f"`pglog recover {partial} -o {output}` saves the frames so far: {frames}"
+        if isinstance(error, ProgroundError):
+            todo = f"{error.todo}; {todo}"
+            raise ProgroundError(error.what, where=error.where, todo=todo) from error
+        raise KeyboardInterrupt(todo) from error

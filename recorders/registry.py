@@ -33,6 +33,14 @@ class Format:
         """The class; beside the source, its arguments are the format's options."""
         return cast(Callable[..., Source], getattr(import_module(self.module), self.class_name))
 
+    def recognise(self, source: Path) -> str | None:
+        """Why a path looks like this format, in a few words, or None; opens nothing large."""
+        ask = getattr(import_module(self.module), "recognise", None)
+        try:
+            return cast(str | None, ask(source)) if ask is not None else None
+        except OSError:
+            return None  # What may not be looked into cannot be recognised.
+
 
 FORMATS = {
     "seven-scenes": Format(
@@ -41,31 +49,100 @@ FORMATS = {
         "7-Scenes or 3DMatch: a folder of frame-*.{color,depth,pose}.*",
     ),
     "tum": Format(
-        "recorders.tum", "TumSource", "TUM RGB-D: a folder with rgb.txt, depth.txt, groundtruth.txt"
+        "recorders.tum",
+        "TumSource",
+        "TUM RGB-D or Bonn: a folder with rgb.txt, depth.txt, groundtruth.txt",
+    ),
+    "icl-nuim": Format(
+        "recorders.icl_nuim",
+        "IclNuimSource",
+        "ICL-NUIM: a folder with rgb/, depth/, associations.txt and a *.gt.* trajectory",
     ),
     "replica": Format(
         "recorders.replica",
         "ReplicaSource",
         "Replica, NICE-SLAM's layout: a folder with results/ and traj.txt",
     ),
+    "replica-semantic": Format(
+        "recorders.replica_semantic",
+        "ReplicaSemanticSource",
+        "Replica, Semantic-NeRF's and vMAP's layout: a folder with rgb/, depth/ and traj_w_c.txt",
+    ),
+    "scannet-sens": Format(
+        "recorders.scannet_sens", "ScannetSensSource", "ScanNet as it is published: a .sens file"
+    ),
+    "scannet": Format(
+        "recorders.scannet",
+        "ScannetSource",
+        "ScanNet, exported: a folder with color/, depth/, pose/ and intrinsic/",
+    ),
+    "scannetpp": Format(
+        "recorders.scannetpp",
+        "ScannetppSource",
+        "ScanNet++, the iPhone's stream: a folder with a video, depth.bin, pose_intrinsic_imu.json",
+    ),
+    "hm3dsem-walk": Format(
+        "recorders.hm3dsem_walk",
+        "Hm3dsemWalkSource",
+        "HM3DSem, HOV-SG's walks: a folder with rgb/, depth/, semantic/ and pose/",
+    ),
+    "record3d": Format(
+        "recorders.record3d",
+        "Record3dSource",
+        "Record3D: an .r3d file (needs proground-log[phone])",
+    ),
+    "arkitscenes": Format(
+        "recorders.arkitscenes",
+        "ArkitscenesSource",
+        "ARKitScenes: a video's folder with lowres_wide.traj",
+    ),
+    "nerfstudio": Format(
+        "recorders.nerfstudio",
+        "NerfstudioSource",
+        "nerfstudio: a folder with transforms.json, its frames with depth",
+    ),
+    "redwood": Format(
+        "recorders.redwood",
+        "RedwoodSource",
+        "Redwood or Open3D: a folder with image/ or color/, depth/ and trajectory.log",
+    ),
+    "colmap": Format(
+        "recorders.colmap",
+        "ColmapSource",
+        "COLMAP: a workspace with images/ and a model (cameras, images, points3D)",
+    ),
+    "ros2-bag": Format(
+        "recorders.ros2_bag",
+        "Ros2BagSource",
+        "ROS 2 bag: an .mcap file, or a folder of them with metadata.yaml",
+    ),
+    "ros1-bag": Format(
+        "recorders.ros1_bag", "Ros1BagSource", "ROS 1 bag: a .bag file (needs proground-log[ros1])"
+    ),
     "synthetic": Format(
         "recorders.room", "RoomSource", "the built-in furnished room, no source", takes_source=False
     ),
 }
+
+AUTO = "auto"
+"""In place of a format: find out which of them the source is."""
 
 
 def open_source(name: str, source: Path | None = None, **options: object) -> Source:
     """Open a data set.
 
     Args:
-        name: one of FORMATS.
+        name: one of FORMATS, or "auto".
         source: what the format's description asks for; None for a format that takes none.
         options: keyword arguments of the format's class, such as `calibration`.
 
     Raises:
         ProgroundError: no such format or option, or the data set is at fault.
     """
-    chosen = FORMATS[_known("format", name, FORMATS, where=source or "record")]
+    _known("format", name, (*FORMATS, AUTO), where=source or "record")
+    if name == AUTO:
+        name = _detected(source)
+    chosen = FORMATS[name]
     opener = chosen.opener()
     valid_options = list(signature(opener).parameters)[int(chosen.takes_source) :]
     for option in options:
@@ -75,6 +152,14 @@ def open_source(name: str, source: Path | None = None, **options: object) -> Sou
         what = "needs a source" if chosen.takes_source else f"has no use for {source}"
         raise ProgroundError(what, where=f"format {name}", todo=todo)
     return opener(source, **options) if chosen.takes_source else opener(**options)
+
+
+def _detected(source: Path | None) -> str:
+    from recorders.detect import detect  # It reads this table.
+
+    if source is None:
+        raise ProgroundError("needs a source", where=f"format {AUTO}", todo="name the data set")
+    return detect(source).format
 
 
 def _known(kind: str, name: str, valid: Iterable[str], *, where: object) -> str:

@@ -16,6 +16,7 @@ from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
 from recorders.association import frame_stamp_ns, parse_pose, read_text
 from recorders.images import numbered_files, read_color, read_depth
+from recorders.layout import holds
 
 FRAME_RATE_HZ = 30
 INVALID_DEPTH_MM = 65535
@@ -42,6 +43,14 @@ def kinect_calibration() -> Calibration:
     color_from_depth[:3, :3] = turn.as_matrix()
     color_from_depth[:3, 3] = COLOR_FROM_DEPTH_M
     return Calibration(COLOR_CAMERA, DEPTH_CAMERA, np.linalg.inv(color_from_depth))
+
+
+def recognise(source: Path) -> str | None:
+    """Why a path looks like a sequence of 7-Scenes or a folder of them; None where it does not."""
+    files = ("frame-*.depth.png", "frame-*.color.*", "frame-*.pose.txt")
+    if holds(source, *files) or holds(source, *(f"seq-*/{file}" for file in files)):
+        return "has frame-*.depth.png, frame-*.color.* and frame-*.pose.txt"
+    return None
 
 
 class SevenScenesSource:

@@ -1,4 +1,4 @@
-"""TUM RGB-D: a hand-held Kinect with motion capture.
+"""TUM RGB-D, and Bonn's dynamic scenes in its layout: a hand-held camera with motion capture.
 
 A sequence folder has rgb.txt and depth.txt (`time path` a line), groundtruth.txt
 (`time tx ty tz qx qy qz qw` a line, world_from_camera) and the images; depth is uint16 / 5000 m.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -17,22 +18,93 @@ from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
 from recorders.association import SECOND_NS, Trajectory, associate, parse_stamp_ns, read_text
 from recorders.images import read_color, read_depth
+from recorders.layout import holds
 
 DEPTH_PER_M = 5000
 MAX_POSE_GAP_S = 0.1
 """Motion capture runs at 100 Hz or more; over a longer gap a hand-held camera may turn back."""
 
-# The data set's page on intrinsics. Depth was registered to colour by the driver, pixel by pixel,
-# so that both images share one camera and its distortion; those of freiburg3 come undistorted.
-CAMERAS = {
-    "1": Camera.from_integer_centres(
-        640, 480, 517.3, 516.5, 318.6, 255.3, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """What the sequences of one rig have in common.
+
+    Args:
+        camera: of both images; the driver registered depth to colour, pixel by pixel.
+        depth_per_m: units of the depth images in a metre.
+        world_from_listed: 4x4, from the world axes of groundtruth.txt.
+        tracked_from_camera: 4x4, to the axes of what motion capture tracked.
+        notes: what this assumes, for the log.
+    """
+
+    camera: Camera
+    depth_per_m: float = DEPTH_PER_M
+    world_from_listed: np.ndarray = field(default_factory=lambda: np.eye(4))
+    tracked_from_camera: np.ndarray = field(default_factory=lambda: np.eye(4))
+    notes: dict[str, str] = field(default_factory=dict)
+
+
+def _bonn() -> Rig:
+    """The Xtion of Bonn, as the data set's page and `compute_global_transformation.py` have it.
+
+    A camera's pose in the world of the published laser scan is T_ros^-1 T T_ros T_m, with T from
+    groundtruth.txt. T_m is no rigid transform: it turns, moves and scales by 1.059. A pose cannot
+    scale, so depth does; laser scan and depth then agree within some 2 %.
+    """
+    t_ros = np.array([[-1.0, 0, 0, 0], [0, 0, 1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # its own inverse
+    t_m = np.array(
+        [
+            [1.0157, 0.1828, -0.2389, 0.0113],
+            [0.0009, -0.8431, -0.6413, -0.0098],
+            [-0.3009, 0.6147, -0.8085, 0.0111],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    )
+    u, scales, vt = np.linalg.svd(t_m[:3, :3])
+    t_m[:3, :3] = u @ vt
+    scale = float(scales.mean())
+    return Rig(
+        Camera.from_integer_centres(
+            640,
+            480,
+            542.822841,
+            542.576870,
+            315.593520,
+            237.756098,
+            (0.039903, -0.099343, -0.000730, -0.000144, 0.0),
+        ),
+        depth_per_m=DEPTH_PER_M / scale,
+        world_from_listed=t_ros,
+        tracked_from_camera=t_ros @ t_m,
+        notes={"Bonn's T_m": f"poses are T_ros T T_ros T_m, depth x {scale:.4f}, T_m's scale"},
+    )
+
+
+# By a pattern for the folder's name. The data sets' pages on intrinsics; images of freiburg3 come
+# undistorted.
+RIGS = {
+    r"(?:freiburg|fr)1(?!\d)": Rig(
+        Camera.from_integer_centres(
+            640, 480, 517.3, 516.5, 318.6, 255.3, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)
+        )
     ),
-    "2": Camera.from_integer_centres(
-        640, 480, 520.9, 521.0, 325.1, 249.7, (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)
+    r"(?:freiburg|fr)2(?!\d)": Rig(
+        Camera.from_integer_centres(
+            640, 480, 520.9, 521.0, 325.1, 249.7, (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)
+        )
     ),
-    "3": Camera.from_integer_centres(640, 480, 535.4, 539.2, 320.1, 247.6),
+    r"(?:freiburg|fr)3(?!\d)": Rig(
+        Camera.from_integer_centres(640, 480, 535.4, 539.2, 320.1, 247.6)
+    ),
+    r"rgbd_bonn_": _bonn(),
 }
+
+
+def recognise(source: Path) -> str | None:
+    """Why a path looks like a sequence of TUM RGB-D; None where it does not."""
+    if holds(source, "rgb.txt", "depth.txt", "groundtruth.txt"):
+        return "has rgb.txt, depth.txt and groundtruth.txt"
+    return None
 
 
 class TumSource:
@@ -51,17 +123,19 @@ class TumSource:
 
         Args:
             source: the sequence's folder.
-            calibration: the rig; by default by the freiburg number in the folder's name.
+            calibration: the rig; by default by the folder's name, which has the freiburg number
+                or begins with rgbd_bonn_.
             max_time_difference_s: the largest time between the two images of a pair.
 
         Raises:
             ProgroundError: a list is missing or broken, the name does not tell the camera, or
                 no pair has a pose.
         """
-        self.calibration = calibration or _calibration_by_name(source)
+        self._rig = _rig(source, calibration)
+        self.calibration = calibration or Calibration.registered(self._rig.camera)
         self.label_names: dict[int, str] = {}
         depths, colors = _read_list(source / "depth.txt"), _read_list(source / "rgb.txt")
-        trajectory = _read_trajectory(source / "groundtruth.txt")
+        trajectory = read_trajectory(source / "groundtruth.txt")
         depth_stamps_ns, color_stamps_ns = (
             [stamp for stamp, _ in each] for each in (depths, colors)
         )
@@ -74,6 +148,7 @@ class TumSource:
         self.notes = {
             "images without a partner": str(len(depths) - len(pairs)),
             "pairs without a pose": str(len(pairs) - len(self._frames)),
+            **self._rig.notes,
         }
         self.warnings: tuple[str, ...] = ()
         if not self._frames:
@@ -83,7 +158,8 @@ class TumSource:
                 where=source,
                 todo="check the times in depth.txt, rgb.txt and groundtruth.txt",
             )
-        self._poses = trajectory.at([depth_stamp_ns for (depth_stamp_ns, _), _ in self._frames])
+        listed = trajectory.at([depth_stamp_ns for (depth_stamp_ns, _), _ in self._frames])
+        self._poses = self._rig.world_from_listed @ listed @ self._rig.tracked_from_camera
 
     def __len__(self) -> int:
         return len(self._frames)
@@ -99,7 +175,7 @@ class TumSource:
             color_stamp_ns=color_stamp_ns,
             color=color.data,
             color_format=color.format,
-            depth=np.divide(depth, DEPTH_PER_M, dtype=np.float32),
+            depth=np.divide(depth, self._rig.depth_per_m, dtype=np.float32),
             world_from_camera=self._poses[index],
         )
 
@@ -108,17 +184,20 @@ class TumSource:
         return None
 
 
-def _calibration_by_name(source: Path) -> Calibration:
-    """The registered camera of freiburg 1, 2 or 3, whichever the folder's name has."""
+def _rig(source: Path, calibration: Calibration | None) -> Rig:
+    """The rig that the folder's name tells; where it tells none, whatever has the calibration."""
     name = source.resolve().name
-    match = re.search(r"(?:freiburg|fr)([123])(?!\d)", name, re.IGNORECASE)
-    if match is None:
+    for pattern, rig in RIGS.items():
+        if re.search(pattern, name, re.IGNORECASE):
+            return rig
+    if calibration is None:
         raise ProgroundError(
-            "the folder's name does not tell which Kinect it was",
+            "the folder's name does not tell which camera it was",
             where=source,
-            todo="put freiburg1, freiburg2 or freiburg3 into the name, or pass the calibration",
+            todo="put freiburg1, freiburg2 or freiburg3 into the name, or rgbd_bonn_ before it, "
+            "or pass the calibration",
         )
-    return Calibration.registered(CAMERAS[match[1]])
+    return Rig(calibration.depth)
 
 
 def _rows(path: Path, columns: int) -> Iterator[tuple[str, list[str]]]:
@@ -145,8 +224,12 @@ def _read_list(path: Path) -> list[tuple[int, Path]]:
     ]
 
 
-def _read_trajectory(path: Path) -> Trajectory:
-    """The poses of groundtruth.txt in order of time; a line that is there twice counts once."""
+def read_trajectory(path: Path) -> Trajectory:
+    """The poses of a file like groundtruth.txt by time; a line that is there twice counts once.
+
+    Raises:
+        ProgroundError: the file is missing, or a line is not a time and a pose.
+    """
     poses: set[tuple[int, tuple[float, ...]]] = set()
     for where, (stamp, *numbers) in _rows(path, columns=8):
         try:

@@ -17,7 +17,7 @@ from proground_log.camera import (
 )
 from proground_log.errors import ProgroundError
 from recorders.seven_scenes import COLOR_CAMERA
-from recorders.tum import CAMERAS
+from recorders.tum import RIGS
 
 unit = st.floats(-1.0, 1.0)
 lenses = st.sampled_from(
@@ -29,6 +29,7 @@ lenses = st.sampled_from(
         (0.1, -0.05, 0.002, -0.001, 0.01),
         (0.1, -0.05, 0.002, -0.001, 0.01, 0.02, -0.01, 0.005),
         (0.1, -0.02, 0.01, -0.004),
+        (0.0, 0.0, 0.0, 0.0),
     ]
 )
 
@@ -65,7 +66,7 @@ def test_a_depth_image_projects_onto_its_own_pixels(camera: Camera, depth_m: flo
     np.testing.assert_allclose(pixels, pixel_centres(camera), atol=1e-4)
 
 
-@pytest.mark.parametrize("camera", [*CAMERAS.values(), COLOR_CAMERA])
+@pytest.mark.parametrize("camera", [*(rig.camera for rig in RIGS.values()), COLOR_CAMERA])
 def test_the_real_lenses_are_inverted_up_to_the_corners(camera: Camera) -> None:
     pixels = camera.project(camera.directions.reshape(-1, 3).astype(np.float64))
     np.testing.assert_allclose(pixels, pixel_centres(camera), atol=1e-4)

@@ -31,7 +31,7 @@ from tests.perception.tiny_encoders import write_text_encoder
 from tests.small_source import SmallSource, with_frame, write_log
 
 COMMANDS = [
-    *("record", "info", "check", "perceive", "vocabulary"),
+    *("record", "info", "check", "recover", "perceive", "vocabulary"),
     *("replay", "rerun", "diff", "bisect", "calibrate", "sweep", "ablate", "query"),
     *("evaluate", "export", "view", "demo"),
 ]
@@ -145,7 +145,9 @@ def test_record_seven_scenes(pglog: Pglog, shared_data: Path, tmp_path: Path) ->
     selection = ["--start", 2, "--stop", 9, "--stride", 3]
     answer = pglog("record", "seven-scenes", source, "-o", log, *selection)
     assert answer.code == 0
-    assert re.fullmatch(rf"{re.escape(str(log))}: 3 frames, \d\.\d MB\n", answer.out)
+    assert re.fullmatch(
+        rf"{re.escape(str(log))}: 3 frames, \d\.\d MB\n  agreement: 99% .*\n", answer.out
+    )
     assert "3/3" in answer.err
     reader = LogReader(log)
     opened = SevenScenesSource(source)
@@ -685,7 +687,7 @@ def test_a_disk_that_fills_up(pglog: Pglog, kitchen: Path, tmp_path: Path) -> No
     assert list(tmp_path.iterdir()) == [kitchen]
 
 
-def test_ctrl_c_leaves_no_log(
+def test_ctrl_c_leaves_what_can_be_recovered(
     pglog: Pglog, kitchen: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupted(source: SevenScenesSource, index: int) -> SensorFrame:
@@ -695,10 +697,13 @@ def test_ctrl_c_leaves_no_log(
 
     original = SevenScenesSource.frame
     monkeypatch.setattr(SevenScenesSource, "frame", interrupted)
-    answer = pglog("record", "seven-scenes", kitchen, "-o", tmp_path / "a.mcap")
+    log = tmp_path / "a.mcap"
+    answer = pglog("record", "seven-scenes", kitchen, "-o", log)
     assert (answer.code, answer.out) == (130, "")
-    assert answer.err.endswith("pglog: stopped\n")
-    assert list(tmp_path.iterdir()) == [kitchen]
+    assert answer.err.endswith(
+        f"pglog: stopped; `pglog recover {log}.partial -o {log}` saves the frames so far: 1\n"
+    )
+    assert sorted(tmp_path.iterdir()) == [tmp_path / "a.mcap.partial", kitchen]
 
 
 def test_a_real_ctrl_c(shared_data: Path, tmp_path: Path) -> None:
@@ -715,7 +720,8 @@ def test_a_real_ctrl_c(shared_data: Path, tmp_path: Path) -> None:
         _, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert b"Traceback" not in err
-    assert list(tmp_path.iterdir()) == []
+    assert not log.exists()
+    assert partial.exists() == (b"pglog recover" in err)
 
 
 def test_a_reader_that_has_seen_enough(small_log: Path) -> None:

@@ -21,6 +21,8 @@ from proground_log.cli import (
     outward,
     perception,
     query,
+    record,
+    recover,
     rerun,
     runs,
     sweep,
@@ -29,9 +31,10 @@ from proground_log.cli.common import FAILED, STOPPED
 from proground_log.errors import ProgroundError
 
 COMMANDS: dict[str, Callable[..., int]] = {
-    "record": logs.record_command,
+    "record": record.record_command,
     "info": logs.info_command,
     "check": logs.check_command,
+    "recover": recover.recover_command,
     "perceive": perception.perceive_command,
     "calibrate": calibrate.calibrate_command,
     "replay": runs.replay_command,
@@ -75,7 +78,7 @@ def main() -> None:
         reason = f"{error.filename or 'pglog'}: {(error.strerror or str(error)).lower()}"
         print(f"pglog: {reason}; check the path and its permissions", file=sys.stderr)
         code = FAILED
-    except KeyboardInterrupt:
-        print("pglog: stopped", file=sys.stderr)
+    except KeyboardInterrupt as stop:
+        print("; ".join(("pglog: stopped", *map(str, stop.args))), file=sys.stderr)
         code = STOPPED
     sys.exit(code)

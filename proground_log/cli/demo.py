@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from proground_log.cli.common import SAME, Output
-from proground_log.cli.logs import record_command
 from proground_log.cli.perception import perceive_command
 from proground_log.cli.query import query_command
+from proground_log.cli.record import FormatOptions, record_command
 from proground_log.cli.runs import evaluate_command, replay_command
 from replay.config import ReplayConfig
 
@@ -19,7 +19,8 @@ def demo_command(*, output: Output, seed: int = 0, overwrite: bool = False) -> i
         overwrite: replace an earlier demo.
     """
     room, seen, run = output / "room.mcap", output / "seen.mcap", output / "run"
-    record_command("synthetic", output=room, seed=seed, overwrite=overwrite)
+    options = FormatOptions(seed=seed)
+    record_command("synthetic", output=room, options=options, overwrite=overwrite)
     perceive_command(room, output=seen, simulated=True, seed=seed, overwrite=overwrite)
     config = ReplayConfig(seed=seed, hold_out_every=10)
     replay_command(seen, output=run, config=config, overwrite=overwrite)

@@ -1,99 +1,42 @@
-"""Commands about logs: record, info, check."""
+"""Commands about logs: info, check."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
-from pathlib import Path
-from typing import Annotated
 
-import tyro
 from rich.table import Column, Table
-from tyro.conf import Positional
 
 from proground_log.cli.common import (
     DIFFERENT,
     SAME,
     AsJson,
     Log,
-    MaybeFloat,
-    MaybeInt,
     MaybePath,
-    Output,
     out,
     print_table,
     shown_progress,
 )
-from proground_log.frame import Selection
 
 
-def record_command(
-    format: Annotated[str, Positional, tyro.conf.arg(metavar="FORMAT")],
-    source: Annotated[
-        Path | None, Positional, tyro.conf.arg(metavar="[SOURCE]", help_behavior_hint="")
-    ] = None,
-    *,
-    output: Output,
-    start: int = 0,
-    stop: MaybeInt = None,
-    stride: int = 1,
-    calibration: MaybePath = None,
-    max_time_difference_s: MaybeFloat = None,
-    seed: MaybeInt = None,
-    frames: MaybeInt = None,
-    noise: bool = False,
-    overwrite: bool = False,
+def info_command(
+    log: Log, *, sheet: MaybePath = None, as_json: AsJson = False, overwrite: bool = False
 ) -> int:
-    """Turn a data set into a log.
-
-    Args:
-        format: seven-scenes, tum, replica or synthetic (the built-in room).
-        source: the data set; synthetic has none.
-        output: the log to write (.mcap).
-        start: first frame.
-        stop: frame to stop before.
-        stride: take every so many-th frame.
-        calibration: JSON file that overrides the format's cameras.
-        max_time_difference_s: tum: most between a colour and a depth image.
-        seed: synthetic: varies the room.
-        frames: synthetic: frames on the camera's way.
-        noise: synthetic: noise of a real sensor.
-        overwrite: replace the output.
-    """
-    from recorders.calibration_file import read_calibration
-    from recorders.record import record
-    from recorders.registry import open_source
-
-    options: dict[str, object] = {
-        "calibration": read_calibration(calibration) if calibration else None,
-        "max_time_difference_s": max_time_difference_s,
-        "seed": seed,
-        "frames": frames,
-        "noise": noise or None,
-    }
-    given = {name: value for name, value in options.items() if value is not None}
-    opened = open_source(format, source, **given)
-    name = source.resolve().name if source else format
-    selection = Selection(start, stop, stride)
-    with shown_progress("record") as progress:
-        recording = record(opened, name, output, selection, overwrite=overwrite, progress=progress)
-    size_mb = output.stat().st_size / 1e6
-    print(f"{output}: {recording.frames} frames, {size_mb:.1f} MB")
-    for keyword, note in recording.notes.items():
-        print(f"  {keyword}: {note}")
-    return SAME
-
-
-def info_command(log: Log, *, as_json: AsJson = False) -> int:
     """Say what is in a log.
 
     Args:
         log: the log (.mcap).
+        sheet: also draw frames, depth, labels and the camera's way into a picture (.png).
         as_json: print JSON, for programs.
+        overwrite: replace the picture.
     """
     from proground_log.log.info import log_info
 
     info = log_info(log)
+    if sheet is not None:
+        from proground_log.log.sheet import draw_sheet
+
+        draw_sheet(log, sheet, overwrite=overwrite)
     if as_json:
         print(json.dumps(dataclasses.asdict(info), indent=2))
         return SAME

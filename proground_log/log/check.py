@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,7 @@ from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
 from proground_log.camera import transform
 from proground_log.errors import ProgroundError
 from proground_log.log import topics
+from proground_log.log.consistency import Consistency
 from proground_log.log.reader import (
     DAMAGE,
     FrameDecoder,
@@ -26,6 +29,8 @@ from proground_log.regions import Regions
 
 LEAST_INSIDE = 0.5
 """Share of a frame's depth that has to lie inside the log's bounds: they enclose 99 % of all."""
+
+_RECOVER = "; `pglog recover` saves the rest"
 
 
 @dataclass(frozen=True)
@@ -53,19 +58,52 @@ def check_log(path: Path, progress: Callable[[int, int], None]) -> list[Fault]:
     except ProgroundError as error:
         faults.append(Fault("", _topic_of(error), error.what))
     decode = FrameDecoder(calibration, where=path)
-    last_ns = -1
+    order, consistency = _Order(), Consistency()
     progress(0, len(reader))
-    count = 0
     for count, group in enumerate(group_by_time(_whole_messages(reader, faults)), start=1):
         index = group[0][2].sequence
-        if group[0][2].log_time <= last_ns:
-            faults.append(Fault(str(index), "", f"time does not increase after {last_ns} ns"))
-        last_ns = max(last_ns, group[0][2].log_time)
-        faults.extend(_frame_faults(index, group, decode, register, reader))
+        faults.extend(order.faults(group))
+        faults.extend(_frame_faults(index, group, decode, register, reader, consistency))
         progress(count, len(reader))
-    if count != len(reader):
-        faults.append(Fault("", "", f"{count} frames found, {len(reader)} announced"))
+    faults.extend(order.missing(len(reader)))
+    faults.extend(Fault("", topics.TF, warning) for warning in consistency.report().warnings)
     return faults
+
+
+class _Order:
+    """Watches over the frames' numbers and times, which rise in the file."""
+
+    def __init__(self) -> None:
+        self._numbers: set[int] = set()
+        self._last, self._last_ns = -1, -1
+
+    def faults(self, group: list[RawMessage]) -> Iterator[Fault]:
+        """What is wrong with where a frame stands."""
+        number, time_ns = group[0][2].sequence, group[0][2].log_time
+        if number in self._numbers:
+            yield Fault(str(number), "", "comes again")
+        elif time_ns <= self._last_ns:
+            yield Fault(str(number), "", f"time does not increase after {self._last_ns} ns")
+        elif number < self._last:
+            yield Fault(str(number), "", f"comes after frame {self._last}")
+        counts = Counter(channel.topic for _, channel, _ in group)
+        for topic in sorted(topic for topic, count in counts.items() if count > 1):
+            yield Fault(str(number), topic, "the message comes again")
+        self._numbers.add(number)
+        self._last, self._last_ns = number, max(self._last_ns, time_ns)
+
+    def missing(self, announced: int) -> Iterator[Fault]:
+        """The frames that were not there."""
+        numbers = sorted(self._numbers)
+        for before, after in pairwise([-1, *numbers]):
+            if after - before == 2:
+                yield Fault(str(before + 1), "", "is missing")
+            elif after - before > 2:
+                yield Fault(f"{before + 1} to {after - 1}", "", "are missing")
+        end = numbers[-1] + 1 if numbers else 0
+        if end != announced:
+            what = f"{len(numbers)} frames found, {announced} announced"
+            yield Fault("", "", what)
 
 
 def _topic_of(error: ProgroundError) -> str:
@@ -88,20 +126,27 @@ def _whole_messages(reader: LogReader, faults: list[Fault]) -> Iterator[RawMessa
                     parts = breakup_chunk(record, validate_crc=True)
                 except DAMAGE as error:
                     start_s, end_s = record.message_start_time / 1e9, record.message_end_time / 1e9
-                    what = f"a chunk, {start_s:.3f} s to {end_s:.3f} s, is damaged ({error})"
+                    what = (
+                        f"a chunk, {start_s:.3f} s to {end_s:.3f} s, is damaged ({error}){_RECOVER}"
+                    )
                     faults.append(Fault(_after(last_frame), "", what))
                     is_damaged = True
                     continue
                 for part in parts:
-                    if isinstance(part, Message):
-                        channel, last_frame = reader.channels[part.channel_id], part.sequence
-                        yield reader.schemas[channel.schema_id], channel, part
+                    if not isinstance(part, Message):
+                        continue
+                    last_frame = part.sequence
+                    if channel := reader.channels.get(part.channel_id):
+                        yield reader.schemas.get(channel.schema_id), channel, part
+                    else:
+                        what = f"a message of channel {part.channel_id}, which the index lacks"
+                        faults.append(Fault(str(last_frame), "", what))
         except CRCValidationError:
             # Says that some byte of the file changed; a damaged chunk was named already.
             if not is_damaged:
                 faults.append(Fault("", "", "the checksum over the whole file does not hold"))
         except DAMAGE as error:
-            what = f"cannot be read on ({error or type(error).__name__})"
+            what = f"cannot be read on ({error or type(error).__name__}){_RECOVER}"
             faults.append(Fault(_after(last_frame), "", what))
         else:
             if not has_checksum:
@@ -118,6 +163,7 @@ def _frame_faults(
     decode: FrameDecoder,
     register: Registration | None,
     reader: LogReader,
+    consistency: Consistency,
 ) -> Iterator[Fault]:
     """The faults of one frame."""
     name = str(index)
@@ -140,6 +186,7 @@ def _frame_faults(
         yield Fault(name, topics.DEPTH, "has negative depths")
     if register is None:
         return
+    consistency.add(sensor, reader.calibration)
     try:
         frame = register(sensor)
     except ProgroundError as error:

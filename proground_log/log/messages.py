@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from mcap_ros2._dynamic import serialize_dynamic
 
-from proground_log.camera import Camera, pose_from_quaternion, quaternion_from_pose
+from proground_log.camera import FISHEYE_TERMS, Camera, pose_from_quaternion, quaternion_from_pose
 from proground_log.errors import ProgroundError
 
 _HEADER = """std_msgs/Header header
@@ -217,7 +217,8 @@ def camera_info(camera: Camera, stamp_ns: int, frame_id: str) -> object:
 def camera(message: Any, *, where: object) -> Camera:
     """The camera that a CameraInfo describes; raises a ProgroundError for an unknown lens."""
     k = message.k
-    distortion = tuple(message.d) if any(message.d) else ()
+    is_fisheye = message.distortion_model == _DISTORTION_MODELS[FISHEYE_TERMS]
+    distortion = tuple(message.d) if any(message.d) or is_fisheye else ()
     if distortion and message.distortion_model != _DISTORTION_MODELS.get(len(distortion)):
         raise ProgroundError(
             f"a lens of {len(distortion)} terms of {message.distortion_model!r} is not known",

@@ -23,11 +23,12 @@ from mcap_ros2.decoder import DecoderFactory
 
 from proground_log.camera import Calibration, Camera, require_rigid
 from proground_log.errors import ProgroundError
-from proground_log.files import require_file
+from proground_log.files import PARTIAL, require_file
 from proground_log.frame import SensorFrame
 from proground_log.log import messages, topics
 from proground_log.log.recording import Recording
 from proground_log.log.region_message import regions_of
+from proground_log.log.schemas import schema_fault
 from proground_log.log.task_record import TaskRecord
 
 DAMAGE = (
@@ -41,6 +42,8 @@ DAMAGE = (
 )
 """What the libraries raise on bytes that are not as they were written; the last two where a
 length became absurd."""
+
+_TODO = "copy or record it again, or save its whole frames with `pglog recover`"
 
 _FOOTER = struct.Struct("<BQQQI")
 """Opcode, length, start of the summary, start of its offsets, checksum."""
@@ -96,6 +99,10 @@ class LogReader:
         self.channels: dict[int, Channel] = summary.channels
         self.attachments: list[AttachmentIndex] = summary.attachment_indexes
         self.metadata: dict[str, dict[str, str]] = metadata
+        for _, channel in sorted(self.channels.items()):
+            if fault := schema_fault(channel, self.schemas.get(channel.schema_id)):
+                where = f"{path}, {channel.topic}"
+                raise ProgroundError(fault, where=where, todo="record it again")
         self.recording = Recording.from_metadata(metadata[topics.RECORDING_METADATA], where=path)
         task = metadata.get(topics.TASK_METADATA)
         self.task = None if task is None else TaskRecord.from_metadata(task, where=path)
@@ -117,7 +124,7 @@ class LogReader:
             raise ProgroundError(
                 f"the file is damaged ({error or type(error).__name__})",
                 where=self.path,
-                todo="see `pglog check`, or record it again",
+                todo=_TODO,
             ) from error
 
     @cached_property
@@ -214,7 +221,9 @@ def _require_whole_summary(stream: BinaryIO, path: Path) -> None:
     stream.seek(max(0, end - _FOOTER.size - magic))
     footer, last = stream.read(_FOOTER.size), stream.read()
     if last != MCAP0_MAGIC:
-        raise ProgroundError("the file is cut off", where=path, todo="copy or record it again")
+        is_partial = path.suffix == PARTIAL
+        what = "the recording was stopped before its end" if is_partial else "the file is cut off"
+        raise ProgroundError(what, where=path, todo=_TODO)
     *_, start, _, checksum = _FOOTER.unpack(footer)
     # The length of the record that ends the data, the one number that no checksum covers.
     stream.seek(max(0, min(start, end) - _LENGTH.size - _CHECKSUM_BYTES))
@@ -222,7 +231,7 @@ def _require_whole_summary(stream: BinaryIO, path: Path) -> None:
         raise ProgroundError(
             "the file is damaged: its data do not end as they should",
             where=path,
-            todo="copy or record it again",
+            todo=_TODO,
         )
     stream.seek(min(start, end))
     covered = stream.read(max(0, end - start - magic - 4))
@@ -230,7 +239,7 @@ def _require_whole_summary(stream: BinaryIO, path: Path) -> None:
         raise ProgroundError(
             "the file is damaged: the checksum of its index does not hold",
             where=path,
-            todo="copy or record it again",
+            todo=_TODO,
         )
 
 

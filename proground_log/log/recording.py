@@ -39,7 +39,7 @@ class Origin:
     def from_metadata(cls, metadata: dict[str, str], *, where: object) -> Origin:
         """Read it back; raises a ProgroundError where it is damaged."""
         with _damage_named(metadata, where):
-            return cls(metadata["source"], metadata["format"], json.loads(metadata["notes"]))
+            return cls(metadata["source"], metadata["format"], dict(json.loads(metadata["notes"])))
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class Recording:
                     tuple(json.loads(metadata["bounds_lower_m"])),
                     tuple(json.loads(metadata["bounds_upper_m"])),
                 ),
-                notes=json.loads(metadata["notes"]),
+                notes=dict(json.loads(metadata["notes"])),
                 warnings=tuple(json.loads(metadata.get("warnings", "[]"))),
             )
 

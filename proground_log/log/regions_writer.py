@@ -7,8 +7,9 @@ from typing import BinaryIO
 from mcap.well_known import MessageEncoding
 
 from proground_log.log import topics
-from proground_log.log.messages import COMPRESSED_IMAGE_TYPE, REGIONS_TYPE
+from proground_log.log.messages import REGIONS_TYPE
 from proground_log.log.reader import LogReader, RawMessage
+from proground_log.log.schemas import PERCEPTION_TYPES
 from proground_log.log.task_record import TaskRecord
 from proground_log.log.writer import register_schema, start_mcap
 
@@ -40,14 +41,13 @@ class RegionsWriter:
             for number, channel in sorted(source.channels.items())
             if channel.topic not in topics.PERCEPTION
         }
-        types = {topics.REGIONS: REGIONS_TYPE, topics.REGIONS_PREVIEW: COMPRESSED_IMAGE_TYPE}
         self._added_ids = {
             topic: self._writer.register_channel(
                 topic,
                 MessageEncoding.CDR,
                 by_name.get(name) or register_schema(self._writer, name),
             )
-            for topic, name in types.items()
+            for topic, name in PERCEPTION_TYPES.items()
         }
         self._last_stamp_ns = 0
 

@@ -134,7 +134,7 @@ def _within_surfaces(owner: np.ndarray, depth_m: np.ndarray) -> np.ndarray:
 
 def _rectification(camera: Camera) -> tuple[np.ndarray, np.ndarray] | None:
     """The maps for cv2.remap that take the distortion out; None for an ideal lens."""
-    if not any(camera.distortion):
+    if camera.is_ideal:
         return None
     k, d, size = (
         camera.k_integer_centres,

@@ -20,20 +20,9 @@ from proground_log.frame import SensorFrame
 from proground_log.log import messages, topics
 from proground_log.log.palette import label_colors
 from proground_log.log.recording import Origin, Recording
+from proground_log.log.schemas import SENSOR_TYPES
 
 CHUNK_BYTES = 2 * 1024 * 1024
-
-_MESSAGE_TYPES = {
-    topics.COLOR_INFO: "sensor_msgs/msg/CameraInfo",
-    topics.COLOR: "sensor_msgs/msg/CompressedImage",
-    topics.DEPTH_INFO: "sensor_msgs/msg/CameraInfo",
-    topics.DEPTH: "sensor_msgs/msg/Image",
-    topics.TF: "tf2_msgs/msg/TFMessage",
-    topics.TF_STATIC: "tf2_msgs/msg/TFMessage",
-    topics.LABELS: "sensor_msgs/msg/Image",
-    topics.INSTANCES: "sensor_msgs/msg/Image",
-    topics.LABELS_PREVIEW: "sensor_msgs/msg/CompressedImage",
-}
 
 
 def start_mcap(stream: BinaryIO) -> Writer:
@@ -87,7 +76,7 @@ class LogWriter:
         self._attach(topics.LABEL_NAMES_ATTACHMENT, "application/json", names.encode())
         if mesh is not None:
             self._attach(topics.MESH_ATTACHMENT, "application/x-ply", mesh)
-        types = [name for name in messages.DEFINITIONS if name in _MESSAGE_TYPES.values()]
+        types = [name for name in messages.DEFINITIONS if name in SENSOR_TYPES.values()]
         self._encoders = {name: messages.encoder(name) for name in types}
         self._schema_ids = {name: register_schema(self._writer, name) for name in types}
         self._camera_infos = self._encoded_infos(calibration)
@@ -133,6 +122,7 @@ class LogWriter:
                 )
         self._last_stamp_ns = stamp_ns
         if self._frames == 0:
+            self._name_topics(frame)
             mount = messages.transform_message(
                 self._calibration.depth_from_color, stamp_ns, topics.DEPTH_FRAME, topics.COLOR_FRAME
             )
@@ -180,20 +170,32 @@ class LogWriter:
         preview = messages.compressed_image(png.tobytes(), "png", stamp_ns, topics.COLOR_FRAME)
         self._add(topics.LABELS_PREVIEW, stamp_ns, preview)
 
-    def _add(self, topic: str, stamp_ns: int, message: object) -> None:
-        self._add_encoded(topic, stamp_ns, self._encoders[_MESSAGE_TYPES[topic]](message))
+    def _name_topics(self, first: SensorFrame) -> None:
+        """Put what is known of the topics into the first chunk, however large the frame is."""
+        known = [topics.TF_STATIC, topics.TF, *self._camera_infos, topics.COLOR, topics.DEPTH]
+        known += [topics.LABELS, topics.LABELS_PREVIEW] * (first.labels is not None)
+        known += [topics.INSTANCES] * (first.instances is not None)
+        for topic in known:
+            self._channel_id(topic)
 
-    def _add_encoded(self, topic: str, stamp_ns: int, data: bytes) -> None:
+    def _channel_id(self, topic: str) -> int:
+        """The number of a topic's channel, which is made when it is first asked for."""
         if topic not in self._channel_ids:
             metadata = {}
             if topic == topics.TF_STATIC:
                 # What a ROS 2 player needs to hand a static transform to late listeners.
                 metadata["offered_qos_profiles"] = "- durability: transient_local"
             self._channel_ids[topic] = self._writer.register_channel(
-                topic, MessageEncoding.CDR, self._schema_ids[_MESSAGE_TYPES[topic]], metadata
+                topic, MessageEncoding.CDR, self._schema_ids[SENSOR_TYPES[topic]], metadata
             )
+        return self._channel_ids[topic]
+
+    def _add(self, topic: str, stamp_ns: int, message: object) -> None:
+        self._add_encoded(topic, stamp_ns, self._encoders[SENSOR_TYPES[topic]](message))
+
+    def _add_encoded(self, topic: str, stamp_ns: int, data: bytes) -> None:
         self._writer.add_message(
-            self._channel_ids[topic],
+            self._channel_id(topic),
             log_time=stamp_ns,
             publish_time=stamp_ns,
             sequence=self._frames,
@@ -218,8 +220,12 @@ def open_writer(
     label_names: dict[int, str],
     mesh: bytes | None,
 ) -> Iterator[LogWriter]:
-    """Write a log to `path`, which takes its name only once `LogWriter.finish` was called."""
-    with written_whole(path) as temporary, temporary.open("wb") as stream:
+    """Write a log to `path`, which takes its name only once `LogWriter.finish` was called.
+
+    Where the user or the disk stops it, what was written stays, for `pglog recover`.
+    """
+    stopped = (KeyboardInterrupt, OSError)
+    with written_whole(path, kept_on=stopped) as temporary, temporary.open("wb") as stream:
         writer = LogWriter(stream, calibration, origin, label_names, mesh)
         yield writer
         if not writer.is_finished:

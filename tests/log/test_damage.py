@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.well_known import MessageEncoding
 from mcap.writer import Writer
 from rewriting import rewrite
 
@@ -16,6 +18,7 @@ from proground_log.errors import ProgroundError
 from proground_log.log import topics
 from proground_log.log.check import check_log
 from proground_log.log.reader import LogReader
+from proground_log.log.writer import register_schema, start_mcap
 from tests.small_source import SmallSource, write_log
 
 
@@ -170,3 +173,118 @@ def test_what_is_no_mcap_is_refused(content: bytes, tmp_path: Path) -> None:
     path.write_bytes(content)
     with pytest.raises(ProgroundError, match=r"b\.mcap: (is no MCAP file|the file is cut off); "):
         LogReader(path)
+
+
+def message_order(path: Path, order: list[int], target: Path) -> Path:
+    """The log's frames, a chunk each, in another order in the file, or some more than once."""
+    groups = list(LogReader(path).groups())
+    with path.open("rb") as stream, target.open("wb") as output:
+        reader, writer = make_reader(stream), start_mcap(output)
+        schemas: dict[str, int] = {}
+        channels: dict[str, int] = {}
+        for schema, channel, message in (item for number in order for item in groups[number]):
+            assert schema is not None
+            if channel.topic not in channels:
+                if schema.name not in schemas:
+                    schemas[schema.name] = register_schema(writer, schema.name)
+                channels[channel.topic] = writer.register_channel(
+                    channel.topic, "cdr", schemas[schema.name]
+                )
+            time_ns = message.log_time
+            number = channels[channel.topic]
+            writer.add_message(number, time_ns, message.data, time_ns, message.sequence)
+            if channel.topic == topics.LABELS_PREVIEW:
+                writer.flush()
+        for record in reader.iter_metadata():
+            writer.add_metadata(record.name, record.metadata)
+        for kept in reader.iter_attachments():
+            writer.add_attachment(0, 0, kept.name, kept.media_type, kept.data)
+        writer.finish()
+    return target
+
+
+@pytest.fixture(scope="module")
+def longer_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("longer") / "a.mcap"
+    return write_log(path, SmallSource(6, with_labels=True))
+
+
+@pytest.mark.parametrize(
+    ("order", "expected"),
+    [
+        ([0, 1, 2, 3, 4, 5], []),
+        ([0, 1, 3, 4, 5], [("2", "is missing")]),
+        ([0, 3, 4, 5], [("1 to 2", "are missing")]),
+        ([0, 1, 2, 3], [("", "4 frames found, 6 announced")]),
+        ([1, 2, 3, 4, 5], [("0", "is missing")]),
+        ([0, 1, 2, 3, 4, 5, 2], [("2", "comes again")]),
+    ],
+)
+def test_frames_that_are_missing_or_come_again_are_named(
+    order: list[int], expected: list[tuple[str, str]], longer_log: Path, tmp_path: Path
+) -> None:
+    path = message_order(longer_log, order, tmp_path / "b.mcap")
+    found = [(fault.frame, fault.what) for fault in check_log(path, lambda *_: None)]
+    # Where the cameras sit is lost with the first frame.
+    assert [item for item in found if "has no /tf_static" not in item[1]] == expected
+
+
+def test_a_frame_that_stands_twice_in_a_row_is_named(longer_log: Path, tmp_path: Path) -> None:
+    path = message_order(longer_log, [0, 1, 2, 2, 3, 4, 5], tmp_path / "b.mcap")
+    found = check_log(path, lambda *_: None)
+    assert {fault.frame for fault in found} == {"2"}
+    assert {fault.what for fault in found} == {"the message comes again"}
+    assert topics.DEPTH in {fault.topic for fault in found}
+
+
+def test_chunks_that_are_not_in_order_are_named(longer_log: Path, tmp_path: Path) -> None:
+    path = message_order(longer_log, [0, 1, 4, 2, 3, 5], tmp_path / "b.mcap")
+    assert [frame.index for frame in LogReader(path).frames()] == list(range(6))
+    found = check_log(path, lambda *_: None)
+    assert [fault.frame for fault in found] == ["2", "3"]
+    assert all(fault.what.startswith("time does not increase after") for fault in found)
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ({"name": "std_msgs/msg/String"}, "its messages are of type 'std_msgs/msg/String', not"),
+        ({"data": b"uint8[] data\n"}, "its schema is not the definition of 'sensor_msgs/msg/Im"),
+        ({"encoding": "ros2idl"}, "its schema is not the definition of 'sensor_msgs/msg/Image'"),
+    ],
+)
+def test_a_wrong_schema_is_named(
+    change: dict[str, str | bytes], what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    register = Writer.register_schema
+
+    def changed(writer: Writer, name: str, encoding: str, data: bytes) -> int:
+        given = {"name": name, "encoding": encoding, "data": data}
+        if name == "sensor_msgs/msg/Image":
+            given |= change
+        return register(writer, **given)
+
+    monkeypatch.setattr(Writer, "register_schema", changed)
+    path = write_log(tmp_path / "b.mcap", SmallSource(2))
+    [fault] = faults(path)
+    assert fault.startswith(f"{path}, {topics.DEPTH}: {what}")
+
+
+def test_a_wrong_encoding_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(MessageEncoding, "CDR", "json")
+        path = write_log(tmp_path / "b.mcap", SmallSource(2))
+    [fault] = faults(path)
+    assert "its messages are encoded as 'json', not 'cdr'" in fault
+
+
+def test_damage_is_followed_by_what_to_do(longer_log: Path, tmp_path: Path) -> None:
+    path = message_order(longer_log, [0, 1, 2, 3, 4, 5], tmp_path / "b.mcap")
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 4
+    path.write_bytes(data)
+    assert any("`pglog recover` saves the rest" in what for what in faults(path))
+    path.write_bytes(data[:-1])
+    assert "save its whole frames with `pglog recover`" in faults(path)[0]
+    partial = path.rename(tmp_path / "b.mcap.partial")
+    assert "the recording was stopped before its end" in faults(partial)[0]

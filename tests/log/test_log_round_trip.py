@@ -296,7 +296,8 @@ def test_label_names_are_plain_json(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "distortion", [(0.1, -0.02, 0.01, -0.004), (0.2, -0.9, 0.0, 0.01, 1.1, 0.3, -0.7, 0.9)]
+    "distortion",
+    [(0.1, -0.02, 0.01, -0.004), (0.0, 0.0, 0.0, 0.0), (0.2, -0.9, 0.0, 0.01, 1.1, 0.3, -0.7, 0.9)],
 )
 def test_every_lens_comes_back(tmp_path: Path, distortion: tuple[float, ...]) -> None:
     rig = Calibration.registered(replace(CAMERA, distortion=distortion))

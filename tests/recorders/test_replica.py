@@ -15,7 +15,10 @@ from recorders.replica import ReplicaSource
 NUMBERS = (0, 2, 10)
 PARAMS = {"w": 32, "h": 24, "fx": 30.0, "fy": 31.0, "cx": 15.5, "cy": 11.5, "scale": 6553.5}
 CLASSES = [{"id": 0, "name": "void"}, {"id": 7, "name": "chair"}, {"id": 3, "name": "red lamp"}]
-PLY = b"ply\nformat binary_little_endian 1.0\nend_header\n"
+PLY = (
+    b"ply\nformat binary_little_endian 1.0\nelement vertex 0\nproperty float x\n"
+    b"property ushort label\nelement face 0\nend_header\n"
+)
 
 
 def write_scene(scene: Path, *, labels: bool = True) -> dict[int, tuple[np.ndarray, ...]]:
@@ -76,6 +79,22 @@ def test_without_ground_truth(tmp_path: Path) -> None:
     assert source.label_names == {}
     assert source.frame(0).labels is None
     assert source.ground_truth_mesh() is None
+
+
+def test_instances_are_kept_as_they_are(tmp_path: Path) -> None:
+    write_scene(tmp_path)
+    assert ReplicaSource(tmp_path).frame(0).instances is None
+    (tmp_path / "semantic_instance").mkdir()
+    things = np.arange(24 * 32, dtype=np.uint16).reshape(24, 32) * 80
+    for number in NUMBERS:
+        cv2.imwrite(str(tmp_path / f"semantic_instance/semantic_instance_{number}.png"), things)
+    frame = ReplicaSource(tmp_path).frame(1)
+    assert frame.instances is not None
+    assert frame.instances.dtype == np.uint16
+    np.testing.assert_array_equal(frame.instances, things)
+    (tmp_path / "semantic_instance/semantic_instance_2.png").unlink()
+    with pytest.raises(ProgroundError, match=r"semantic_instance_2\.png: is missing"):
+        ReplicaSource(tmp_path)
 
 
 def test_of_two_meshes_none_is_taken(tmp_path: Path) -> None:
@@ -158,6 +177,10 @@ def test_the_small_house(shared_data: Path, depth_agreement: Callable[..., float
     first, later = source.frame(0), source.frame(1)
     assert depth_agreement(source, first, later, 0.05) > 0.95
     assert first.labels is not None
+    assert first.instances is not None
+    for thing in np.unique(first.instances[first.instances > 0]):
+        assert len(np.unique(first.labels[first.instances == thing])) == 1
+    assert first.instances.max() > len(source.label_names)
     assert set(np.unique(first.labels)) - {0} <= set(source.label_names)
     mesh = source.ground_truth_mesh()
     assert mesh is not None

@@ -11,7 +11,7 @@ from proground_log.camera import Calibration, Camera, pose_from_quaternion, tran
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
 from proground_log.log.registration import Registration
-from recorders.seven_scenes import SevenScenesSource
+from recorders.seven_scenes import SevenScenesSource, recognise
 
 CAMERA = Camera(32, 24, 30.0, 30.0, 16.0, 12.0)
 CALIBRATION = Calibration.registered(CAMERA)
@@ -135,6 +135,14 @@ def test_a_spoilt_file_is_named(
     with pytest.raises(ProgroundError, match=message) as caught:
         source.frame(1)
     assert str(folder / f"frame-000020.{part}") in str(caught.value)
+
+
+def test_recognise(tmp_path: Path) -> None:
+    write_sequence(tmp_path / "scene/seq-01")
+    for path in (tmp_path / "scene/seq-01", tmp_path / "scene"):
+        assert recognise(path) == "has frame-*.depth.png, frame-*.color.* and frame-*.pose.txt"
+    for path in (tmp_path, next((tmp_path / "scene/seq-01").iterdir()), Path("\0")):
+        assert recognise(path) is None
 
 
 def test_the_kitchen(shared_data: Path, depth_agreement: Callable[..., float]) -> None:

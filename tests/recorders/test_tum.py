@@ -8,9 +8,12 @@ import cv2
 import numpy as np
 import pytest
 
-from proground_log.camera import Calibration, Camera
+from proground_log.camera import Calibration, Camera, quaternion_from_pose, transform
 from proground_log.errors import ProgroundError
-from recorders.tum import TumSource
+from proground_log.frame import SensorFrame
+from recorders.room.source import CAMERA as ROOM_CAMERA
+from recorders.tum import TumSource, recognise
+from tests.round_trip import assert_round_trip
 
 CAMERA = Camera(32, 24, 30.0, 30.0, 16.0, 12.0)
 CALIBRATION = Calibration.registered(CAMERA)
@@ -144,6 +147,77 @@ def test_a_missing_image_is_named(tmp_path: Path) -> None:
     source = TumSource(tmp_path / "a", calibration=CALIBRATION)
     with pytest.raises(ProgroundError, match=r"depth/100\.100000\.png: no such file"):
         source.frame(1)
+
+
+T_ROS = np.array([[-1.0, 0, 0, 0], [0, 0, 1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+T_M = np.array(
+    [
+        [1.0157, 0.1828, -0.2389, 0.0113],
+        [0.0009, -0.8431, -0.6413, -0.0098],
+        [-0.3009, 0.6147, -0.8085, 0.0111],
+        [0.0, 0.0, 0.0, 1.0],
+    ]
+)
+"""As Bonn publishes them; T_m scales by the cube root of its determinant."""
+BONN_SCALE = np.linalg.det(T_M) ** (1 / 3)
+
+
+def write_bonn(folder: Path, frames: list[SensorFrame]) -> dict[int, np.ndarray]:
+    """Write the room's frames as if Bonn's rig had seen them; returns T of groundtruth.txt."""
+    rigid = T_M.copy()
+    u, _, vt = np.linalg.svd(T_M[:3, :3])
+    rigid[:3, :3] = u @ vt
+    tracked = {
+        index: np.linalg.inv(T_ROS) @ frame.world_from_camera @ np.linalg.inv(T_ROS @ rigid)
+        for index, frame in enumerate(frames)
+    }
+    for name in ("rgb", "depth"):
+        (folder / name).mkdir(parents=True)
+        lines = [f"{10 + index} {name}/{index}.png" for index in tracked]
+        (folder / f"{name}.txt").write_text("\n".join(lines))
+    rows = []
+    for index, (frame, pose) in enumerate(zip(frames, tracked.values(), strict=True)):
+        (folder / f"rgb/{index}.png").write_bytes(frame.color)
+        units = np.round(frame.depth_m / BONN_SCALE * 5000).astype(np.uint16)
+        cv2.imwrite(str(folder / f"depth/{index}.png"), units)
+        numbers = [10 + index, *pose[:3, 3], *quaternion_from_pose(pose)]
+        rows.append(" ".join(repr(float(number)) for number in numbers))
+    (folder / "groundtruth.txt").write_text("\n".join(rows))
+    return tracked
+
+
+def test_bonn_by_the_published_formula(
+    tmp_path: Path, room_frames: list[SensorFrame], depth_agreement: Callable[..., float]
+) -> None:
+    folder = tmp_path / "rgbd_bonn_room"
+    tracked = write_bonn(folder, room_frames)
+    source = TumSource(folder, calibration=Calibration.registered(ROOM_CAMERA))
+    assert "depth x 1.0593" in source.notes["Bonn's T_m"]
+    assert_round_trip(source, room_frames, tmp_path / "log.mcap", depth_atol_m=2e-4)
+    assert depth_agreement(source, source.frame(0), source.frame(4), 0.05) > 0.95
+    units = cv2.imread(str(folder / "depth/3.png"), cv2.IMREAD_UNCHANGED)
+    theirs = ROOM_CAMERA.unproject(units / 5000.0).reshape(-1, 3)
+    theirs = transform(np.linalg.inv(T_ROS) @ tracked[3] @ T_ROS @ T_M, theirs)
+    frame = source.frame(3)
+    ours = ROOM_CAMERA.unproject(frame.depth).reshape(-1, 3)
+    np.testing.assert_allclose(transform(frame.world_from_camera, ours), theirs, atol=1e-3)
+
+
+def test_bonns_camera(tmp_path: Path, room_frames: list[SensorFrame]) -> None:
+    folder = tmp_path / "rgbd_bonn_balloon2"
+    write_bonn(folder, room_frames[:1])
+    calibration = TumSource(folder).calibration
+    assert calibration.is_registered
+    assert (calibration.depth.fx, calibration.depth.cy) == (542.822841, 238.256098)
+    assert calibration.depth.distortion == (0.039903, -0.099343, -0.00073, -0.000144, 0.0)
+
+
+def test_recognise(tmp_path: Path) -> None:
+    write_sequence(tmp_path / "a")
+    assert recognise(tmp_path / "a") == "has rgb.txt, depth.txt and groundtruth.txt"
+    (tmp_path / "a/groundtruth.txt").unlink()
+    for path in (tmp_path / "a", tmp_path / "a/rgb.txt", tmp_path / "none", Path("\0")):
+        assert recognise(path) is None
 
 
 def test_freiburg1(shared_data: Path, depth_agreement: Callable[..., float]) -> None:
