@@ -21,8 +21,8 @@ from proground_log.perception.simulated import SimulatedPerception
 from proground_log.perception.task import Task
 from proground_log.perception.vocabulary import Vocabulary
 from proground_log.perception.yolo import input_side
+from recorders.formats.seven_scenes import SevenScenesSource
 from recorders.room import RoomSource
-from recorders.seven_scenes import SevenScenesSource
 from replay.device import choose_device
 
 IMAGES = 8

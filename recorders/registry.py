@@ -44,80 +44,84 @@ class Format:
 
 FORMATS = {
     "seven-scenes": Format(
-        "recorders.seven_scenes",
+        "recorders.formats.seven_scenes",
         "SevenScenesSource",
         "7-Scenes or 3DMatch: a folder of frame-*.{color,depth,pose}.*",
     ),
     "tum": Format(
-        "recorders.tum",
+        "recorders.formats.tum",
         "TumSource",
         "TUM RGB-D or Bonn: a folder with rgb.txt, depth.txt, groundtruth.txt",
     ),
     "icl-nuim": Format(
-        "recorders.icl_nuim",
+        "recorders.formats.icl_nuim",
         "IclNuimSource",
         "ICL-NUIM: a folder with rgb/, depth/, associations.txt and a *.gt.* trajectory",
     ),
     "replica": Format(
-        "recorders.replica",
+        "recorders.formats.replica",
         "ReplicaSource",
         "Replica, NICE-SLAM's layout: a folder with results/ and traj.txt",
     ),
     "replica-semantic": Format(
-        "recorders.replica_semantic",
+        "recorders.formats.replica_semantic",
         "ReplicaSemanticSource",
         "Replica, Semantic-NeRF's and vMAP's layout: a folder with rgb/, depth/ and traj_w_c.txt",
     ),
     "scannet-sens": Format(
-        "recorders.scannet_sens", "ScannetSensSource", "ScanNet as it is published: a .sens file"
+        "recorders.formats.scannet_sens",
+        "ScannetSensSource",
+        "ScanNet as it is published: a .sens file",
     ),
     "scannet": Format(
-        "recorders.scannet",
+        "recorders.formats.scannet",
         "ScannetSource",
         "ScanNet, exported: a folder with color/, depth/, pose/ and intrinsic/",
     ),
     "scannetpp": Format(
-        "recorders.scannetpp",
+        "recorders.formats.scannetpp",
         "ScannetppSource",
         "ScanNet++, the iPhone's stream: a folder with a video, depth.bin, pose_intrinsic_imu.json",
     ),
     "hm3dsem-walk": Format(
-        "recorders.hm3dsem_walk",
+        "recorders.formats.hm3dsem_walk",
         "Hm3dsemWalkSource",
         "HM3DSem, HOV-SG's walks: a folder with rgb/, depth/, semantic/ and pose/",
     ),
     "record3d": Format(
-        "recorders.record3d",
+        "recorders.formats.record3d",
         "Record3dSource",
         "Record3D: an .r3d file (needs proground-log[phone])",
     ),
     "arkitscenes": Format(
-        "recorders.arkitscenes",
+        "recorders.formats.arkitscenes",
         "ArkitscenesSource",
         "ARKitScenes: a video's folder with lowres_wide.traj",
     ),
     "nerfstudio": Format(
-        "recorders.nerfstudio",
+        "recorders.formats.nerfstudio",
         "NerfstudioSource",
         "nerfstudio: a folder with transforms.json, its frames with depth",
     ),
     "redwood": Format(
-        "recorders.redwood",
+        "recorders.formats.redwood",
         "RedwoodSource",
         "Redwood or Open3D: a folder with image/ or color/, depth/ and trajectory.log",
     ),
     "colmap": Format(
-        "recorders.colmap",
+        "recorders.formats.colmap.source",
         "ColmapSource",
         "COLMAP: a workspace with images/ and a model (cameras, images, points3D)",
     ),
     "ros2-bag": Format(
-        "recorders.ros2_bag",
+        "recorders.formats.ros.ros2_bag",
         "Ros2BagSource",
         "ROS 2 bag: an .mcap file, or a folder of them with metadata.yaml",
     ),
     "ros1-bag": Format(
-        "recorders.ros1_bag", "Ros1BagSource", "ROS 1 bag: a .bag file (needs proground-log[ros1])"
+        "recorders.formats.ros.ros1_bag",
+        "Ros1BagSource",
+        "ROS 1 bag: a .bag file (needs proground-log[ros1])",
     ),
     "synthetic": Format(
         "recorders.room", "RoomSource", "the built-in furnished room, no source", takes_source=False

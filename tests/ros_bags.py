@@ -15,7 +15,7 @@ from mcap_ros2._dynamic import serialize_dynamic
 from proground_log.camera import Camera, pose_from_quaternion
 from proground_log.frame import SensorFrame
 from proground_log.log import messages
-from recorders.ros_definitions import POSE_DEFINITIONS
+from recorders.formats.ros.definitions import POSE_DEFINITIONS
 
 START_NS = 1_700_000_000 * 10**9
 COLOR_LATER_NS = 4_000_000

@@ -16,8 +16,8 @@ from proground_log.camera import (
     transform,
 )
 from proground_log.errors import ProgroundError
-from recorders.seven_scenes import COLOR_CAMERA
-from recorders.tum import RIGS
+from recorders.formats.seven_scenes import COLOR_CAMERA
+from recorders.formats.tum import RIGS
 
 unit = st.floats(-1.0, 1.0)
 lenses = st.sampled_from(

@@ -23,9 +23,9 @@ from proground_log.cli import main
 from proground_log.frame import Selection, SensorFrame
 from proground_log.log.reader import LogReader
 from proground_log.regions import Regions
+from recorders.formats.seven_scenes import SevenScenesSource
 from recorders.record import record
 from recorders.room import RoomSource
-from recorders.seven_scenes import SevenScenesSource
 from tests.full_disk import largest_file
 from tests.perception.tiny_encoders import write_text_encoder
 from tests.small_source import SmallSource, with_frame, write_log

@@ -13,12 +13,12 @@ from scipy.spatial.transform import Rotation
 from proground_log.camera import Calibration, Camera
 from proground_log.frame import SensorFrame
 from proground_log.log.consistency import GAPS, PAIRS_PER_GAP, Consistency, ConsistencyReport
-from recorders.axes import opencv_from_opengl
-from recorders.replica import ReplicaSource
+from recorders.formats.replica import ReplicaSource
+from recorders.formats.seven_scenes import SevenScenesSource
+from recorders.formats.tum import TumSource
+from recorders.reading.axes import opencv_from_opengl
 from recorders.room import RoomSource
-from recorders.seven_scenes import SevenScenesSource
 from recorders.source import Source
-from recorders.tum import TumSource
 
 Pictures = list[tuple[SensorFrame, Calibration]]
 Mistake = Callable[[SensorFrame, Calibration], tuple[SensorFrame, Calibration]]

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from proground_log.camera import Calibration, Camera
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
-from recorders.arkitscenes import ArkitscenesSource, recognise
+from recorders.formats.arkitscenes import ArkitscenesSource, recognise
 from recorders.room import RoomSource
 from recorders.source import Source
 from tests.round_trip import assert_round_trip

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 from proground_log.errors import ProgroundError
-from recorders.association import (
+from recorders.reading.association import (
     Trajectory,
     associate,
     frame_stamp_ns,

@@ -14,11 +14,11 @@ import pytest
 from proground_log.camera import Calibration, Camera, quaternion_from_pose, transform
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
-from recorders.association import parse_pose
-from recorders.colmap import ColmapSource, recognise
-from recorders.colmap_model import read_model
+from recorders.formats.colmap.model import read_model
+from recorders.formats.colmap.source import ColmapSource, recognise
+from recorders.formats.seven_scenes import kinect_calibration
+from recorders.reading.association import parse_pose
 from recorders.room import RoomSource
-from recorders.seven_scenes import kinect_calibration
 from tests.round_trip import assert_round_trip
 
 METRES_PER_UNIT = 0.25

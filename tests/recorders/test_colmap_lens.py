@@ -11,7 +11,7 @@ import pytest
 
 from proground_log.camera import Camera
 from proground_log.errors import ProgroundError
-from recorders.colmap_lens import MOST_ERROR_PX, camera_of, parameter_count
+from recorders.formats.colmap.lens import MOST_ERROR_PX, camera_of, parameter_count
 
 SIZE = WIDTH, HEIGHT = 640, 480
 ONE, TWO = [400.0, 322.0, 238.0], [400.0, 401.0, 322.0, 238.0]
@@ -196,7 +196,7 @@ def test_any_numbers_end_soon() -> None:
 
 
 def test_pycolmap_is_imported_only_for_a_camera() -> None:
-    code = "import sys, recorders.colmap; print('pycolmap' in sys.modules)"
+    code = "import sys, recorders.formats.colmap.source; print('pycolmap' in sys.modules)"
     found = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=os.environ
     )

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from proground_log.errors import ProgroundError
-from recorders.compressed_depth import decode_compressed_depth, decode_rvl
+from recorders.formats.ros.compressed_depth import decode_compressed_depth, decode_rvl
 from tests.ros_bags import png, rvl
 
 HEADER = bytes(12)

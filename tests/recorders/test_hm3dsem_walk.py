@@ -11,7 +11,7 @@ import pytest
 from proground_log.camera import Calibration, Camera
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
-from recorders.hm3dsem_walk import Hm3dsemWalkSource, recognise
+from recorders.formats.hm3dsem_walk import Hm3dsemWalkSource, recognise
 from recorders.room import RoomSource
 from tests.recorders.test_scannet import with_things
 from tests.round_trip import assert_round_trip

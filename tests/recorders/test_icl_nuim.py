@@ -10,9 +10,9 @@ import pytest
 from proground_log.camera import Calibration, Camera, quaternion_from_pose, transform
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
-from recorders.icl_nuim import IclNuimSource, recognise
+from recorders.formats.icl_nuim import IclNuimSource, recognise
+from recorders.formats.tum import recognise as recognise_tum
 from recorders.room.source import CAMERA
-from recorders.tum import recognise as recognise_tum
 from tests.round_trip import assert_round_trip
 
 CALIBRATION = Calibration.registered(CAMERA)

@@ -12,7 +12,7 @@ from PIL import Image
 
 from proground_log.camera import Camera
 from proground_log.errors import ProgroundError
-from recorders.images import (
+from recorders.reading.images import (
     numbered_files,
     read_color,
     read_depth,

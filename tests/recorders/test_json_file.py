@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from proground_log.errors import ProgroundError
-from recorders.json_file import numbers, parse_json, read_json
+from recorders.reading.json_file import numbers, parse_json, read_json
 
 
 def test_numbers_stay_as_they_were_written(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import pytest
 from proground_log.camera import Calibration, Camera
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
-from recorders.nerfstudio import NerfstudioSource, recognise
+from recorders.formats.nerfstudio import NerfstudioSource, recognise
 from recorders.room.render import look
 from recorders.room.source import CAMERA, RoomSource
 from tests.round_trip import assert_round_trip

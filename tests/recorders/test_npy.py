@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from proground_log.errors import ProgroundError
-from recorders.npy import read_npy_image
+from recorders.reading.npy import read_npy_image
 
 
 def npy(array: np.ndarray) -> bytes:

@@ -15,8 +15,8 @@ import pytest
 from proground_log.camera import Calibration, Camera, quaternion_from_pose
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
-from recorders import lzfse_decode
-from recorders.record3d import Record3dSource, recognise
+from recorders.formats.record3d import Record3dSource, recognise
+from recorders.reading import lzfse_decode
 from recorders.room import RoomSource
 from recorders.source import Source
 from tests.round_trip import assert_round_trip

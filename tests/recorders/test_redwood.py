@@ -11,7 +11,7 @@ import pytest
 from proground_log.camera import Calibration, Camera
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
-from recorders.redwood import RedwoodSource, recognise
+from recorders.formats.redwood import RedwoodSource, recognise
 from recorders.room.source import CAMERA
 from tests.round_trip import assert_round_trip
 

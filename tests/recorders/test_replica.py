@@ -10,7 +10,7 @@ import pytest
 
 from proground_log.camera import pose_from_quaternion
 from proground_log.errors import ProgroundError
-from recorders.replica import ReplicaSource
+from recorders.formats.replica import ReplicaSource
 
 NUMBERS = (0, 2, 10)
 PARAMS = {"w": 32, "h": 24, "fx": 30.0, "fy": 31.0, "cx": 15.5, "cy": 11.5, "scale": 6553.5}

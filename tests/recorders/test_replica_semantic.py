@@ -12,9 +12,9 @@ from proground_log.camera import Calibration, Camera
 from proground_log.errors import ProgroundError
 from proground_log.evaluation.label_lists import read_labelled_mesh
 from proground_log.frame import SensorFrame
-from recorders.images import encoded_png
-from recorders.replica import recognise as recognise_nice_slam
-from recorders.replica_semantic import ReplicaSemanticSource, recognise
+from recorders.formats.replica import recognise as recognise_nice_slam
+from recorders.formats.replica_semantic import ReplicaSemanticSource, recognise
+from recorders.reading.images import encoded_png
 from recorders.room import RoomSource
 from tests.round_trip import assert_round_trip
 

@@ -10,8 +10,8 @@ import pytest
 
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
+from recorders.formats.ros.ros1_bag import TF_DEFINITION, Ros1BagSource, recognise
 from recorders.room import RoomSource
-from recorders.ros1_bag import TF_DEFINITION, Ros1BagSource, recognise
 from tests.ros_bags import TF, Sent, room_messages
 from tests.round_trip import assert_round_trip
 

@@ -13,9 +13,9 @@ from proground_log.camera import Camera, pose_from_quaternion
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
 from proground_log.log import messages
+from recorders.formats.ros.messages import camera, color_image
+from recorders.formats.ros.ros2_bag import Ros2BagSource, recognise
 from recorders.room import RoomSource
-from recorders.ros2_bag import Ros2BagSource, recognise
-from recorders.ros_messages import camera, color_image
 from tests.ros_bags import (
     COLOR_FRAME,
     COLOR_LATER_NS,

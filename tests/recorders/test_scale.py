@@ -7,7 +7,7 @@ import pytest
 
 from proground_log.camera import Calibration, Camera, pose_from_quaternion, transform
 from proground_log.errors import ProgroundError
-from recorders.scale import (
+from recorders.formats.colmap.scale import (
     MOST_VIEWS,
     View,
     fit_scale,

@@ -12,8 +12,8 @@ from proground_log.camera import Calibration
 from proground_log.errors import ProgroundError
 from proground_log.evaluation.label_lists import read_labelled_mesh
 from proground_log.frame import SensorFrame
+from recorders.formats.scannet import NYU40, ScannetSource, recognise
 from recorders.room import RoomSource
-from recorders.scannet import NYU40, ScannetSource, recognise
 from tests.recorders.test_scannet_sens import LOST, intrinsic_of
 from tests.round_trip import assert_round_trip
 

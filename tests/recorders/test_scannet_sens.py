@@ -14,8 +14,8 @@ import pytest
 from proground_log.camera import Calibration, Camera, pose_from_quaternion
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
+from recorders.formats.scannet_sens import ScannetSensSource, recognise
 from recorders.room import RoomSource
-from recorders.scannet_sens import ScannetSensSource, recognise
 from tests.round_trip import assert_round_trip
 
 FIRST_US = 1_467_000_000_123_457

@@ -16,12 +16,12 @@ import pytest
 from proground_log.camera import Calibration, Camera
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
-from recorders import forward
-from recorders.forward import ForwardImages
-from recorders.images import encoded_png
+from recorders.formats.scannetpp import ScannetppSource, recognise
+from recorders.formats.scannetpp_depth import HEIGHT, WIDTH, open_depth
+from recorders.reading import forward
+from recorders.reading.forward import ForwardImages
+from recorders.reading.images import encoded_png
 from recorders.room import RoomSource
-from recorders.scannetpp import ScannetppSource, recognise
-from recorders.scannetpp_depth import HEIGHT, WIDTH, open_depth
 from recorders.source import Source
 from tests.round_trip import assert_round_trip
 

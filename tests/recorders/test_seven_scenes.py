@@ -11,7 +11,7 @@ from proground_log.camera import Calibration, Camera, pose_from_quaternion, tran
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
 from proground_log.log.registration import Registration
-from recorders.seven_scenes import SevenScenesSource, recognise
+from recorders.formats.seven_scenes import SevenScenesSource, recognise
 
 CAMERA = Camera(32, 24, 30.0, 30.0, 16.0, 12.0)
 CALIBRATION = Calibration.registered(CAMERA)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from proground_log.camera import pose_from_quaternion
 from proground_log.errors import ProgroundError
-from recorders.tf_tree import TfTree, Transforms
+from recorders.formats.ros.tf_tree import TfTree, Transforms
 
 GAP_NS = 1000
 

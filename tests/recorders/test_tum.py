@@ -11,8 +11,8 @@ import pytest
 from proground_log.camera import Calibration, Camera, quaternion_from_pose, transform
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
+from recorders.formats.tum import TumSource, recognise
 from recorders.room.source import CAMERA as ROOM_CAMERA
-from recorders.tum import TumSource, recognise
 from tests.round_trip import assert_round_trip
 
 CAMERA = Camera(32, 24, 30.0, 30.0, 16.0, 12.0)

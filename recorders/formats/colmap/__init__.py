@@ -1,0 +1,1 @@
+"""COLMAP reconstructions: model, lenses, depth and scale."""

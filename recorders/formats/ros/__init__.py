@@ -1,0 +1,1 @@
+"""ROS bags: topics, messages and transforms."""

@@ -1,0 +1,167 @@
+"""ROS 1 bags: a .bag file of version 2.0, read by the package rosbags.
+
+Topics, cameras and poses as in a ROS 2 bag.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from itertools import islice
+from pathlib import Path
+from threading import Lock
+from typing import Any
+
+from proground_log.camera import Calibration
+from proground_log.errors import ProgroundError
+from proground_log.files import require_file
+from proground_log.frame import SensorFrame
+from recorders.formats.ros.recording import RosRecording
+from recorders.formats.ros.topics import TF, Key, TopicOptions
+from recorders.reading.association import SECOND_NS
+
+INSTALL = "pip install 'proground-log[ros1]'"
+TF_DEFINITION = "geometry_msgs/TransformStamped[] transforms"
+OLD_TF = "tf/msg/tfMessage"
+"""What transforms were before tf2, the same in bytes."""
+MAGIC = b"#ROSBAG V2.0\n"
+REINDEX = "mend it with `rosbag reindex` or `rosbag fix`, or copy it again"
+_STAMP = struct.Struct("<III")
+"""A header's number, seconds and nanoseconds."""
+
+
+class Ros1BagSource:
+    """One bag; frames are in the order of the depth images' stamps."""
+
+    name = "ros1-bag"
+
+    def __init__(
+        self,
+        source: Path,
+        *,
+        calibration: Calibration | None = None,
+        color_topic: str | None = None,
+        depth_topic: str | None = None,
+        color_info_topic: str | None = None,
+        depth_info_topic: str | None = None,
+        odometry_topic: str | None = None,
+        world_frame: str | None = None,
+        max_time_difference_s: float = 0.02,
+        max_pose_gap_s: float = 0.5,
+    ) -> None:
+        """Pass over the bag once; arguments and errors as of `Ros2BagSource`."""
+        self._recording = RosRecording(
+            _Ros1Bag(source),
+            calibration,
+            TopicOptions(
+                color_topic, depth_topic, color_info_topic, depth_info_topic, odometry_topic
+            ),
+            world_frame=world_frame,
+            max_time_difference_s=max_time_difference_s,
+            max_pose_gap_s=max_pose_gap_s,
+        )
+        self.calibration = self._recording.calibration
+        self.label_names: dict[int, str] = {}
+        self.notes, self.warnings = self._recording.notes, self._recording.warnings
+
+    def __len__(self) -> int:
+        return len(self._recording)
+
+    def frame(self, index: int) -> SensorFrame:
+        """Read frame `index`; its depth is uint16 in millimetres or float32 in metres."""
+        return self._recording.frame(index)
+
+    def ground_truth_mesh(self) -> bytes | None:
+        """Bags have none."""
+        return None
+
+
+def recognise(source: Path) -> str | None:
+    """What makes a path look like a ROS 1 bag; None where it does not."""
+    try:
+        with require_file(source).open("rb") as stream:
+            return "begins with #ROSBAG V2.0" if stream.read(len(MAGIC)) == MAGIC else None
+    except (ProgroundError, OSError):
+        return None
+
+
+class _Ros1Bag:
+    """A .bag file; one thread reads at a time."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self._lock = path, Lock()
+        if recognise(require_file(path)) is None:
+            raise ProgroundError(
+                "is no ROS 1 bag of version 2.0", where=path, todo="give a .bag file"
+            )
+        try:
+            rosbag1: Any = import_module("rosbags.rosbag1")
+            typesys: Any = import_module("rosbags.typesys")
+        except ImportError as error:
+            raise ProgroundError(
+                f"ROS 1 bags need more ({error})", where=path, todo=INSTALL
+            ) from error
+        store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC)
+        # The one type of those that matter which the package does not bring along.
+        store.register(typesys.get_types_from_msg(TF_DEFINITION, TF))
+        self._decode: Callable[[bytes, str], Any] = store.deserialize_ros1
+        self._bag = rosbag1.Reader(path)
+        with self._damage_named(""):
+            self._bag.open()
+        self._connections = {each.id: each for each in self._bag.connections}
+        self.types: dict[str, str] = {
+            each.topic: TF if each.msgtype == OLD_TF else each.msgtype
+            for each in self._bag.connections
+        }
+
+    def scan(self, topics: Iterable[str]) -> Iterator[tuple[str, Key, bytes]]:
+        """Topic, place and bytes of each message of these topics, in order of time."""
+        wanted = set(topics)
+        connections = [each for each in self._connections.values() if each.topic in wanted]
+        latest: dict[int, tuple[int, int]] = {}
+        for connection, time_ns, data in self._messages(connections):
+            # Several messages of one connection may have the same time: they are counted.
+            last_ns, last = latest.get(connection.id, (-1, -1))
+            count = last + 1 if time_ns == last_ns else 0
+            latest[connection.id] = time_ns, count
+            yield connection.topic, (connection.id, time_ns, count), data
+
+    def read(self, topic: str, key: Key) -> Any:
+        """The message at a place, decoded."""
+        connection_id, time_ns, count = key
+        with self._lock:
+            found = self._messages([self._connections[connection_id]], time_ns, time_ns + 1)
+            _, _, data = next(islice(found, count, None))
+        return self.decode(topic, data)
+
+    def decode(self, topic: str, data: bytes) -> Any:
+        """A message of a topic, decoded; raises a ProgroundError where it is damaged."""
+        with self._damage_named(topic):
+            return self._decode(data, self.types[topic])
+
+    def stamp_ns(self, topic: str, data: bytes) -> int:
+        """The time in the header that a message begins with, in nanoseconds."""
+        with self._damage_named(topic):
+            _, seconds, nanoseconds = _STAMP.unpack_from(data)
+        return int(seconds) * SECOND_NS + int(nanoseconds)
+
+    def _messages(self, connections: list[Any], *span_ns: int) -> Iterator[tuple[Any, int, bytes]]:
+        if connections:
+            with self._damage_named(", ".join(sorted(each.topic for each in connections))):
+                yield from self._bag.messages(connections, *span_ns)
+
+    @contextmanager
+    def _damage_named(self, topic: str) -> Iterator[None]:
+        try:
+            yield
+        except ProgroundError:
+            raise
+        # The package promises no errors of its own: damage comes out as whatever it led to.
+        except Exception as error:
+            raise ProgroundError(
+                f"the bag is damaged ({error or type(error).__name__})",
+                where=f"{self.path}, {topic}" if topic else self.path,
+                todo=REINDEX,
+            ) from error

@@ -1,0 +1,1 @@
+"""What formats share: images, times, poses, files."""
