@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from proground_log.errors import ProgroundError
-from proground_log.locations import is_remote
+from proground_log.locations import is_remote, upload
 
 PARTIAL = ".partial"
 """What the name of a file ends in that is not yet whole."""
@@ -78,11 +78,16 @@ def disk_errors(path: Path) -> Iterator[None]:
         ) from error
 
 
+def partial_of(path: Path, suffix: str = PARTIAL) -> Path:
+    """Where a file is until it is whole: beside its final name, or here if that is a URL."""
+    return Path(path.name + suffix) if is_remote(path) else path.with_name(path.name + suffix)
+
+
 @contextmanager
 def written_whole(
     path: Path, *, suffix: str = PARTIAL, kept_on: tuple[type[BaseException], ...] = ()
 ) -> Iterator[Path]:
-    """Give a temporary path beside `path` that takes its name only once it is written whole.
+    """Give a temporary path (`partial_of`) that takes its name only once it is written whole.
 
     On an error the temporary file is removed, so that nothing half-written ever stands under the
     final name.
@@ -92,12 +97,17 @@ def written_whole(
         suffix: what the temporary file is called besides.
         kept_on: errors that leave the temporary file where it is: what it holds is of use.
     """
-    temporary = path.with_name(path.name + suffix)
+    temporary = partial_of(path, suffix)
     with disk_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
+        if not is_remote(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
         try:
             yield temporary
-            temporary.replace(path)
+            if is_remote(path):
+                upload(temporary, path)
+                temporary.unlink()
+            else:
+                temporary.replace(path)
         except kept_on:
             raise
         except BaseException:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -40,6 +39,13 @@ def is_remote(path: Path) -> bool:
     return not isinstance(path, Path)
 
 
+def is_same(first: Path, second: Path) -> bool:
+    """Whether two paths are the same file that is there."""
+    if is_remote(first) or is_remote(second):
+        return str(first) == str(second)
+    return first.exists() and second.exists() and first.samefile(second)
+
+
 @contextmanager
 def local_copy(path: Path) -> Iterator[Path]:
     """The file or folder on this machine, for libraries that know no other: fetched from a URL."""
@@ -57,13 +63,3 @@ def upload(file: Path, path: Path) -> None:
     """Put a file of this machine where a URL says, whole or not at all."""
     remote: Any = path
     remote.fs.put_file(str(file), remote.path)
-
-
-@contextmanager
-def scratch_file(name: str) -> Iterator[Path]:
-    """A path for a file of this name that is gone afterwards."""
-    folder = Path(tempfile.mkdtemp(prefix="pglog-"))
-    try:
-        yield folder / name
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from proground_log.errors import ProgroundError
-from proground_log.files import PARTIAL, require_free
+from proground_log.files import partial_of, require_free
 from proground_log.frame import Selection
 from proground_log.log.consistency import Consistency
 from proground_log.log.recording import Origin, Recording
@@ -82,7 +82,7 @@ def _partial_named(output: Path) -> Iterator[None]:
     try:
         yield
     except (KeyboardInterrupt, ProgroundError) as error:
-        partial = output.with_name(output.name + PARTIAL)
+        partial = partial_of(output)
         if not partial.is_file():
             raise
         frames = count_frames(partial)

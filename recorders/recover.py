@@ -14,6 +14,7 @@ from proground_log.camera import Calibration, require_rigid
 from proground_log.errors import ProgroundError
 from proground_log.files import require_file, require_free, written_whole
 from proground_log.frame import SensorFrame
+from proground_log.locations import is_same
 from proground_log.log import messages, topics
 from proground_log.log.reader import FrameDecoder, MessageDecoder, RawMessage
 from proground_log.log.recording import CHECKSUM, Origin, Recording, checksum
@@ -80,7 +81,7 @@ def recover(
     """
     require_file(log)
     for path in (output, output.with_name(output.name + SUFFIX)):
-        if path.exists() and path.samefile(log):
+        if is_same(path, log):
             what, todo = "the output is the log to recover", "choose another name"
             raise ProgroundError(what, where=output, todo=todo)
     require_free(output, overwrite=overwrite)

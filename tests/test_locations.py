@@ -143,3 +143,15 @@ def write_seven_scenes(folder: Path, frames: list[SensorFrame]) -> None:
         Path(f"{stem}.color.jpg").write_bytes(frame.color)
         cv2.imwrite(f"{stem}.depth.png", frame.depth)
         np.savetxt(f"{stem}.pose.txt", frame.world_from_camera)
+
+
+def test_a_log_can_be_written_to_a_url(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    here, there = write_log(tmp_path / "a.mcap"), "memory://logs/b.mcap"
+    assert app.cli(args=["recover", str(here), "-o", there]) == 0
+    assert [frame.color for frame in LogReader(located(there)).frames()] == [
+        frame.color for frame in LogReader(here).frames()
+    ]
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
+    with pytest.raises(ProgroundError, match="the output exists"):
+        app.cli(args=["recover", str(here), "-o", there])
