@@ -19,19 +19,28 @@ def located(text: str) -> Path:
     What comes back for a URL is a `UPath`, which has the methods of a `Path` that read and write.
 
     Raises:
-        ProgroundError: what URLs need is not installed, or nothing knows such URLs.
+        ProgroundError: what URLs need is not installed, nothing knows such URLs, or the store does
+            not answer or let us in.
     """
     if "://" not in text:
         return Path(text)
     try:
         from upath import UPath
 
-        return cast(Path, UPath(text))
+        path = cast(Path, UPath(text))
     except ImportError as error:
         raise ProgroundError(f"URLs need more ({error})", where=text, todo=INSTALL) from error
     except ValueError as error:
         todo = "use s3://, gs://, https:// or another that fsspec knows"
         raise ProgroundError(f"no such kind of URL ({error})", where=text, todo=todo) from error
+    try:
+        # Some say only of a file that is not there, and raise when asked for a folder.
+        _ = path.exists() or path.is_dir()
+    except Exception as error:  # Each kind of store has errors of its own.
+        reason = str(error) or type(error).__name__
+        todo = "check the URL, the network and your credentials"
+        raise ProgroundError(f"cannot be reached ({reason})", where=text, todo=todo) from error
+    return path
 
 
 def is_remote(path: Path) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import http.server
+import socket
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -155,3 +156,11 @@ def test_a_log_can_be_written_to_a_url(tmp_path: Path, monkeypatch: pytest.Monke
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
     with pytest.raises(ProgroundError, match="the output exists"):
         app.cli(args=["recover", str(here), "-o", there])
+
+
+def test_a_store_that_does_not_answer_is_named() -> None:
+    with socket.socket() as unused:
+        unused.bind(("127.0.0.1", 0))
+        url = f"http://127.0.0.1:{unused.getsockname()[1]}/a.mcap"
+        with pytest.raises(ProgroundError, match=rf"{url}: (cannot be reached|no such file)"):
+            LogReader(located(url))
