@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test test-all lint bench setup
+.PHONY: demo test test-all fuzz lint bench setup
 
 demo: setup
 	$(BIN)/pglog demo -o demo --overwrite
@@ -12,6 +12,10 @@ test: setup
 
 test-all: setup
 	$(BIN)/python -m pytest -m ""
+
+# Hostile files for everything that reads any; some five minutes.
+fuzz: setup
+	$(BIN)/python -m tests.fuzz --seconds 15
 
 lint: setup
 	$(BIN)/ruff check .

@@ -78,7 +78,10 @@ class Camera:
 
     def scaled_to_width(self, width: int) -> Camera:
         """The camera of the same view at another resolution, its aspect kept to a pixel."""
-        height = max(1, round(self.height * width / self.width))
+        return self.resized(width, max(1, round(self.height * width / self.width)))
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The camera of the same view, its image stretched to another size."""
         x, y = width / self.width, height / self.height
         return Camera(
             width, height, self.fx * x, self.fy * y, self.cx * x, self.cy * y, self.distortion

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import struct
+
 JPEG_START, JPEG_SCAN, JPEG_END = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
-PNG_END = b"\x00\x00\x00\x00IEND\xaeB`\x82"
+PNG_START = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
+"""The signature, and the beginning of the first chunk, which has the size."""
+_PNG_SIZE = struct.Struct(">II")
+_PNG_CHUNK = struct.Struct(">I4s")
+_PNG_FIRST_CHUNK, _PNG_CHECKSUM_BYTES = 8, 4
 
 
 def is_whole(data: bytes, image_format: str) -> bool:
@@ -12,8 +18,23 @@ def is_whole(data: bytes, image_format: str) -> bool:
 
 
 def png_is_whole(data: bytes) -> bool:
-    """Whether a PNG image has its end marker."""
-    return PNG_END in data[-4096:] or PNG_END in data
+    """Whether bytes are a PNG file whose chunks lead to its end, whatever may follow that.
+
+    OpenCV makes room for as many bytes as a chunk says it has, up to two gigabytes.
+    """
+    at = _PNG_FIRST_CHUNK if data.startswith(PNG_START) else len(data)
+    while at + _PNG_CHUNK.size <= len(data):
+        length, kind = _PNG_CHUNK.unpack_from(data, at)
+        at += _PNG_CHUNK.size + length + _PNG_CHECKSUM_BYTES
+        if kind == b"IEND":
+            return at <= len(data)
+    return False
+
+
+def png_size(data: bytes) -> tuple[int, int]:
+    """Width and height by the header of a whole PNG file."""
+    width, height = _PNG_SIZE.unpack_from(data, len(PNG_START))
+    return width, height
 
 
 def _jpeg_is_whole(data: bytes) -> bool:

@@ -63,7 +63,7 @@ class SensorFrame:
         encoded = np.frombuffer(self.color, np.uint8)
         image = cv2.imdecode(encoded, cv2.IMREAD_COLOR_RGB) if whole else None
         if image is None:
-            what = "cannot be decoded" if whole else "is cut short"
+            what = "cannot be decoded" if whole else "is cut short or damaged"
             raise ProgroundError(
                 f"the {self.color_format} image {what}",
                 where=f"frame {self.index}",

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, cast
 
@@ -53,19 +50,6 @@ def is_same(first: Path, second: Path) -> bool:
     if is_remote(first) or is_remote(second):
         return str(first) == str(second)
     return first.exists() and second.exists() and first.samefile(second)
-
-
-@contextmanager
-def local_copy(path: Path) -> Iterator[Path]:
-    """The file or folder on this machine, for libraries that know no other: fetched from a URL."""
-    if not is_remote(path):
-        yield path
-        return
-    with tempfile.TemporaryDirectory(prefix="pglog-") as folder:
-        target = Path(folder) / path.name
-        remote: Any = path
-        remote.fs.get(remote.path, str(target), recursive=path.is_dir())
-        yield target
 
 
 def upload(file: Path, path: Path) -> None:

@@ -68,11 +68,12 @@ class BoundsEstimator:
         """Count every eighth pixel, in each direction, of a frame's depth.
 
         Args:
-            frame: its depth is [H, W]; values that are not finite and above 0 are left out.
+            frame: its depth is [H, W]; values that are not finite and above 0 are left out, and
+                points farther than 10 km from the origin.
             camera: the depth camera, of that size.
 
         Raises:
-            ProgroundError: a point is farther than 10 km from the origin.
+            ProgroundError: all points are that far away, as with a broken pose.
         """
         half = PIXEL_STRIDE // 2
         chosen = (slice(half, None, PIXEL_STRIDE), slice(half, None, PIXEL_STRIDE))
@@ -85,16 +86,19 @@ class BoundsEstimator:
         scale_m = 1e-3 if depth.dtype == np.uint16 else 1.0
         depth_m = depth[valid] * scale_m
         x, y, z = (self._directions[valid] * depth_m[:, None]).T
-        for axis, histogram in enumerate(self._axes):
-            a, b, c, offset_m = frame.world_from_camera[axis]
-            # Written out, not as a matrix product: BLAS may add in another order elsewhere.
-            values_m = a * x + b * y + c * z + offset_m
-            if not np.abs(values_m).max() <= FARTHEST_M:  # Also where a number is none.
-                raise ProgroundError(
-                    f"has a point {np.abs(values_m).max():.3g} m from the origin",
-                    where=f"frame {frame.index}",
-                    todo="mend its depth or its pose (unit metres?), or leave the frame out",
-                )
+        # Written out, not as a matrix product: BLAS may add in another order elsewhere.
+        points_m = np.stack(
+            [a * x + b * y + c * z + d for a, b, c, d in frame.world_from_camera[:3]]
+        )
+        # Also false where a number is none.
+        is_near = (np.abs(points_m) <= FARTHEST_M).all(axis=0)
+        if not is_near.any():
+            raise ProgroundError(
+                f"all its points are over {FARTHEST_M / 1000:.0f} km from the origin",
+                where=f"frame {frame.index}",
+                todo="mend its depth or its pose (unit metres?), or leave the frame out",
+            )
+        for histogram, values_m in zip(self._axes, points_m[:, is_near], strict=True):
             histogram.add(values_m)
         self._is_empty = False
 

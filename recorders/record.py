@@ -11,11 +11,10 @@ from proground_log.files import partial_of, require_free
 from proground_log.frame import Selection
 from proground_log.log.consistency import Consistency
 from proground_log.log.recording import Origin, Recording
-from proground_log.log.writer import open_writer
+from proground_log.log.writer import LogWriter, open_writer
 from recorders.bounds import BoundsEstimator
 from recorders.prefetch import default_jobs, prefetched
 from recorders.source import Source
-from recorders.survey import count_frames
 
 
 def record(
@@ -31,7 +30,7 @@ def record(
     """Write the selected frames of a source into a log, one at a time.
 
     The frames are compared with one another on the way: what looks wrong becomes a warning. Where
-    the user or the disk stops it, what is written stays beside the output.
+    the user, the disk or the source stops it, what is written stays beside the output.
 
     Args:
         source: the data set.
@@ -45,7 +44,7 @@ def record(
     Returns:
         What the log says about itself.
     """
-    require_free(output, overwrite=overwrite)
+    require_output(output, overwrite=overwrite)
     jobs = default_jobs() if jobs is None else jobs
     if jobs < 1:
         raise ProgroundError(f"{jobs} jobs are asked for", where="record", todo="ask for 1 or more")
@@ -54,9 +53,10 @@ def record(
     origin = Origin(source_name, source.name, source.notes)
     mesh = source.ground_truth_mesh()
     with (
-        _partial_named(output),
+        _partial_named(output) as writers,
         open_writer(output, source.calibration, origin, source.label_names, mesh) as writer,
     ):
+        writers.append(writer)
         progress(0, len(chosen))
         for done, frame in enumerate(prefetched(source.frame, chosen, jobs), start=1):
             estimator.add(frame, (frame.calibration or source.calibration).depth)
@@ -76,16 +76,32 @@ def record(
     return recording
 
 
+def require_output(output: Path, *, overwrite: bool) -> None:
+    """Raise a ProgroundError where a log, or what a recording left of one, is in the way."""
+    require_free(output, overwrite=overwrite)
+    partial = partial_of(output)
+    if partial.exists() and not overwrite:
+        raise ProgroundError(
+            "is what a recording that was stopped left",
+            where=partial,
+            todo=f"save it by `pglog recover {partial} -o {output}`, or pass --overwrite",
+        )
+
+
 @contextmanager
-def _partial_named(output: Path) -> Iterator[None]:
-    """Where a recording is stopped and something of it stays, say how to save that."""
+def _partial_named(output: Path) -> Iterator[list[LogWriter]]:
+    """Where a recording is stopped and something of it stays, say how to save that.
+
+    Gives a list, for the writer once it is open.
+    """
+    writers: list[LogWriter] = []
     try:
-        yield
+        yield writers
     except (KeyboardInterrupt, ProgroundError) as error:
         partial = partial_of(output)
+        frames = sum(writer.frames_saved for writer in writers)
         if not partial.is_file():
             raise
-        frames = count_frames(partial)
         if not frames:
             partial.unlink()
             raise

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import BinaryIO
 
 from mcap.records import Attachment, Channel, Message, Metadata, Schema
@@ -140,9 +139,3 @@ class Survey:
         [attachment] = self._salvage.records_at(self._attachments[name])
         assert isinstance(attachment, Attachment)
         return attachment
-
-
-def count_frames(log: Path) -> int:
-    """How many whole frames are in a log, finished or not."""
-    with log.open("rb") as stream:
-        return len(Survey(stream).whole_frames())

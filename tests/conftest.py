@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,10 +10,12 @@ import numpy as np
 import pytest
 
 from proground_log.camera import transform
+from proground_log.cli import main
 from proground_log.frame import Selection, SensorFrame
 from recorders.record import record
 from recorders.room import RoomSource
 from recorders.source import Source
+from tests.commands import Answer, Pglog
 
 SHARED_DATA = Path(__file__).parents[2] / "shared" / "data"
 
@@ -23,6 +26,23 @@ def shared_data() -> Path:
     if not SHARED_DATA.is_dir():
         pytest.skip(f"no real data in {SHARED_DATA}")
     return SHARED_DATA
+
+
+@pytest.fixture
+def pglog(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Pglog:
+    """Runs a command in this process, in a terminal of 100 columns."""
+    monkeypatch.setenv("COLUMNS", "100")
+
+    def run(*arguments: object) -> Answer:
+        monkeypatch.setattr(sys, "argv", ["pglog", *map(str, arguments)])
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as stop:
+            main()
+        printed = capsys.readouterr()
+        assert isinstance(stop.value.code, int)
+        return Answer(stop.value.code, printed.out, printed.err)
+
+    return run
 
 
 @pytest.fixture(scope="session")

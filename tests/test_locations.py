@@ -16,7 +16,7 @@ from proground_log.camera import Calibration
 from proground_log.cli import app
 from proground_log.errors import ProgroundError
 from proground_log.frame import Selection, SensorFrame
-from proground_log.locations import local_copy, located
+from proground_log.locations import located
 from proground_log.log.reader import LogReader
 from recorders.record import record
 from recorders.registry import open_source
@@ -102,18 +102,6 @@ def test_what_is_not_there_is_named(served: tuple[Path, str]) -> None:
 def test_an_unknown_kind_of_url_is_refused() -> None:
     with pytest.raises(ProgroundError, match="nowhere://x: no such kind of URL"):
         located("nowhere://x")
-
-
-def test_a_local_copy_is_the_same_and_goes(served: tuple[Path, str], tmp_path: Path) -> None:
-    folder, url = served
-    (folder / "a.txt").write_text("hello")
-    with local_copy(located(f"{url}/a.txt")) as file:
-        assert file.read_text() == "hello"
-        assert isinstance(file, Path)
-    assert not file.exists()
-    here = tmp_path / "b.txt"
-    with local_copy(here) as file:
-        assert file is here
 
 
 @pytest.mark.parametrize("kind", ["memory", "http"])

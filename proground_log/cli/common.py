@@ -35,6 +35,7 @@ def _place(metavar: str) -> PrimitiveConstructorSpec[Any]:
 
 
 Log = Annotated[Path, Positional, _place("LOG")]
+MaybePath = Annotated[Path | None, _place("PATH"), tyro.conf.arg(help_behavior_hint="")]
 MaybeLog = Annotated[Path | None, Positional, _place("LOG"), tyro.conf.arg(help_behavior_hint="")]
 MaybeSource = Annotated[
     Path | None, Positional, _place("SOURCE"), tyro.conf.arg(help_behavior_hint="")
@@ -50,7 +51,6 @@ AsJson = Annotated[bool, tyro.conf.arg(name="json")]
 MaybeInt = Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")]
 MaybeFloat = Annotated[float | None, tyro.conf.arg(metavar="FLOAT", help_behavior_hint="")]
 MaybeText = Annotated[str | None, tyro.conf.arg(metavar="TEXT", help_behavior_hint="")]
-MaybePath = Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")]
 
 
 @contextmanager

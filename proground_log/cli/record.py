@@ -23,7 +23,9 @@ from proground_log.cli.common import (
     Output,
     shown_progress,
 )
+from proground_log.errors import ProgroundError
 from proground_log.frame import Selection
+from proground_log.locations import is_same, located
 
 
 @dataclass(frozen=True)
@@ -87,8 +89,13 @@ class FormatOptions:
         if self.calibration is not None:
             given["calibration"] = read_calibration(self.calibration)
         if self.depth is not None and format == "colmap":
-            given["depth"] = Path(self.depth)
+            given["depth"] = located(self.depth)
         return given
+
+
+def _name(source: Path) -> str:
+    """What the log calls the source: its own name, also for "." and ".."."""
+    return source.name if source.name not in ("", "..") else source.resolve().name
 
 
 def record_command(
@@ -121,15 +128,19 @@ def record_command(
         as_json: print JSON, for programs.
     """
     from recorders.detect import detect
-    from recorders.record import record
+    from recorders.record import record, require_output
     from recorders.registry import AUTO, open_source
 
+    if source is not None and is_same(source, output):
+        what, todo = "the output is the data set to record", "choose another name"
+        raise ProgroundError(what, where=output, todo=todo)
+    require_output(output, overwrite=overwrite)
     if format == AUTO and source is not None:
         detection = detect(source)
         format = detection.format
         print(f"{source}: {format}, since it {detection.reason}", file=sys.stderr)
     opened = open_source(format, source, **options.given(format))
-    name = source.absolute().name if source else format
+    name = format if source is None else _name(source)
     selection = Selection(start, stop, stride)
     with shown_progress("record") as progress:
         recording = record(

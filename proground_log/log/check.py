@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import BinaryIO, cast
 
 import numpy as np
 from mcap.records import Chunk, DataEnd, Message
@@ -15,6 +16,7 @@ from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
 from proground_log.camera import transform
 from proground_log.errors import ProgroundError
 from proground_log.log import topics
+from proground_log.log.bounded_stream import BoundedStream
 from proground_log.log.consistency import Consistency
 from proground_log.log.reader import (
     DAMAGE,
@@ -107,15 +109,16 @@ class _Order:
 
 
 def _topic_of(error: ProgroundError) -> str:
-    topic = error.where.rpartition(", ")[2]
-    return topic if topic.startswith("/") else ""
+    _, comma, topic = error.where.rpartition(", ")
+    return topic if comma and topic.startswith("/") else ""
 
 
 def _whole_messages(reader: LogReader, faults: list[Fault]) -> Iterator[RawMessage]:
     """All messages of undamaged chunks in file order; damage goes into `faults`."""
     last_frame, is_damaged, has_checksum = -1, False, False
     with reader.path.open("rb") as stream:
-        records = StreamReader(stream, emit_chunks=True, validate_crcs=True).records
+        bounded = cast(BinaryIO, BoundedStream(stream))
+        records = StreamReader(bounded, emit_chunks=True, validate_crcs=True).records
         try:
             for record in records:
                 if isinstance(record, DataEnd):

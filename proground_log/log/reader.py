@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, cast
 
 import zstandard
 from mcap.exceptions import McapError
@@ -26,6 +26,7 @@ from proground_log.errors import ProgroundError
 from proground_log.files import PARTIAL, require_file
 from proground_log.frame import SensorFrame
 from proground_log.log import messages, topics
+from proground_log.log.bounded_stream import BoundedStream
 from proground_log.log.recording import Recording
 from proground_log.log.region_message import regions_of
 from proground_log.log.schemas import schema_fault
@@ -114,15 +115,18 @@ class LogReader:
     def _reader(self) -> Iterator[Any]:
         """The library's reader of the file; damage that it meets becomes a ProgroundError."""
         with self.path.open("rb") as stream, self._damage_named():
-            yield make_reader(stream, validate_crcs=True)
+            yield make_reader(cast(BinaryIO, BoundedStream(stream)), validate_crcs=True)
 
     @contextmanager
     def _damage_named(self) -> Iterator[None]:
         try:
             yield
-        except DAMAGE as error:
+        # A KeyError: the library looks up what a chunk names, and the index lacks it.
+        except (*DAMAGE, KeyError) as error:
+            is_unknown = isinstance(error, KeyError)
+            what = f"its index lacks number {error}" if is_unknown else error
             raise ProgroundError(
-                f"the file is damaged ({error or type(error).__name__})",
+                f"the file is damaged ({what or type(error).__name__})",
                 where=self.path,
                 todo=_TODO,
             ) from error
@@ -158,15 +162,21 @@ class LogReader:
     def label_names(self) -> dict[int, str]:
         """Class names by label; empty where the log has no ground truth."""
         attachment = self.attachment(topics.LABEL_NAMES_ATTACHMENT)
-        names = json.loads(attachment) if attachment else {}
-        return {int(label): name for label, name in names.items()}
+        try:
+            names = json.loads(attachment) if attachment else {}
+            return {int(label): str(name) for label, name in names.items()}
+        except (ValueError, AttributeError, RecursionError) as error:
+            where = f"{self.path}, {topics.LABEL_NAMES_ATTACHMENT}"
+            what = f"does not name the labels ({error})"
+            raise ProgroundError(what, where=where, todo="record it again") from error
 
     def attachment(self, name: str) -> bytes | None:
         """The bytes of an attachment, or None where the log has none of that name."""
         for index in self.attachments:
             if index.name != name:
                 continue
-            with self.path.open("rb") as stream, self._damage_named():
+            with self.path.open("rb") as file, self._damage_named():
+                stream = BoundedStream(file)
                 stream.seek(index.offset)
                 record = stream.read(index.length)
                 # The library does not look at this checksum: of all but opcode, length and itself.

@@ -107,7 +107,7 @@ def _damage_named(metadata: dict[str, str], where: object) -> Iterator[None]:
         if metadata.get(CHECKSUM, expected := checksum(metadata)) != expected:
             raise ValueError("its checksum does not hold")
         yield
-    except (KeyError, ValueError, TypeError) as error:
+    except (KeyError, ValueError, TypeError, RecursionError) as error:
         raise ProgroundError(
             f"its metadata is damaged ({error})", where=where, todo="record it again"
         ) from error

@@ -23,9 +23,9 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
+from proground_log.log.bounded_stream import LARGEST_CHUNK_BYTES
 from proground_log.log.reader import DAMAGE
 
-LARGEST_CHUNK_BYTES = 2**28
 MOST_RECORDS = 100_000
 """In a chunk; ours close once they hold 2 MiB. More would be there to fill the memory."""
 MOST_READ = 20

@@ -20,6 +20,7 @@ from proground_log.frame import SensorFrame
 from proground_log.log.info import LogInfo, log_info
 from proground_log.log.palette import label_colors
 from proground_log.log.reader import LogReader
+from proground_log.log.upright import nearest_axis, up_direction
 
 MOST_FRAMES, MOST_POSES = 12, 300
 MOST_CLASSES = 14
@@ -35,8 +36,6 @@ COLUMNS, IMAGE_WIDTH, TALLEST_IMAGE, COLUMN_GAP = 6, 1.75, 2.4, 0.16
 GAP, CAPTION, MARGIN, HEADER = 0.06, 0.28, 0.3, 0.8
 SIDE_WIDTH, MAP_HEIGHT, SCALE_HEIGHT, LEGEND_HEIGHT = 4.6, 4.4, 0.15, 1.6
 
-LOOKING_DOWN = 0.4
-"""Weight of the view's direction in the guess which way is up."""
 MAP_AXES = {(0, 1): (1, 2), (0, -1): (2, 1), (1, 1): (2, 0), (1, -1): (0, 2)}
 MAP_AXES |= {(2, 1): (0, 1), (2, -1): (1, 0)}
 """By the world's axis that points up, and its sign: see `map_axes`."""
@@ -223,15 +222,10 @@ def _summary(info: LogInfo) -> str:
 def map_axes(poses: np.ndarray) -> tuple[int, int]:
     """The world's axes to the right and up on a map seen from above, so that nothing is mirrored.
 
-    Neither logs nor poses say which way is up; but cameras are seldom held upside down, and look
-    down at tables, where the image's up leans towards the horizon, more than up at ceilings.
-
     Args:
         poses: world_from_camera, [P, 4, 4], camera axes x right, y down, z forward.
     """
-    up = -(poses[:, :3, 1] + LOOKING_DOWN * poses[:, :3, 2]).mean(axis=0)
-    axis = int(np.abs(up).argmax())
-    return MAP_AXES[axis, 1 if up[axis] > 0 else -1]
+    return MAP_AXES[nearest_axis(up_direction(poses))]
 
 
 def _draw_map(

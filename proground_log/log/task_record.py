@@ -47,7 +47,7 @@ class TaskRecord:
                 prompts=tuple(json.loads(metadata["prompts"])),
                 regions=int(metadata["regions"]),
             )
-        except (KeyError, ValueError, TypeError) as error:
+        except (KeyError, ValueError, TypeError, RecursionError) as error:
             raise ProgroundError(
                 f"what it says about its task is damaged ({error})",
                 where=where,

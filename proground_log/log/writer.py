@@ -83,6 +83,7 @@ class LogWriter:
         self._channel_ids: dict[str, int] = {}
         self._frames = 0
         self._last_stamp_ns = -1
+        self._frames_saved, self._written_bytes = 0, 0
         self._flushed_second = -1
         self._is_finished = False
 
@@ -90,6 +91,11 @@ class LogWriter:
     def frames(self) -> int:
         """Frames written so far."""
         return self._frames
+
+    @property
+    def frames_saved(self) -> int:
+        """Frames that the file holds whole by now, whatever happens next."""
+        return self._frames_saved
 
     @property
     def is_finished(self) -> bool:
@@ -146,10 +152,17 @@ class LogWriter:
             exact = messages.image(frame.instances, "mono16", stamp_ns, topics.COLOR_FRAME)
             self._add(topics.INSTANCES, stamp_ns, exact)
         self._frames += 1
-        if stamp_ns // 1_000_000_000 != self._flushed_second:
+        is_flushed = stamp_ns // 1_000_000_000 != self._flushed_second
+        if is_flushed:
             self._flushed_second = stamp_ns // 1_000_000_000
             self._writer.flush()
         self._stream.flush()
+        if is_flushed:
+            self._frames_saved = self._frames
+        elif self._stream.tell() > self._written_bytes:
+            # A chunk was full: the frames before this one are in it, perhaps not all of this one.
+            self._frames_saved = self._frames - 1
+        self._written_bytes = self._stream.tell()
 
     def _encoded_infos(self, calibration: Calibration) -> dict[str, bytes]:
         """Messages that mostly differ between frames in their time alone, slow to encode."""
@@ -222,10 +235,10 @@ def open_writer(
 ) -> Iterator[LogWriter]:
     """Write a log to `path`, which takes its name only once `LogWriter.finish` was called.
 
-    Where the user or the disk stops it, what was written stays, for `pglog recover`.
+    Where the user, the disk or the source stops it, what was written stays, for `pglog recover`.
     """
-    stopped = (KeyboardInterrupt, OSError)
-    with written_whole(path, kept_on=stopped) as temporary, temporary.open("wb") as stream:
+    stops = (KeyboardInterrupt, OSError, ProgroundError)
+    with written_whole(path, kept_on=stops) as temporary, temporary.open("wb") as stream:
         writer = LogWriter(stream, calibration, origin, label_names, mesh)
         yield writer
         if not writer.is_finished:

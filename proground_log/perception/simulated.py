@@ -57,7 +57,7 @@ class SimulatedPerception:
         task: what to look for; the built-in texts have to know its prompts.
         label_names: class names by label; what the texts do not know is nobody's prompt either
             and passes for background.
-        camera: the colour camera, whose pixels the labels are.
+        camera: the colour camera, whose pixels the labels are; a frame's own goes before it.
         seed: of all errors.
         strength: of all errors; 0 gives perfect labels.
 
@@ -102,7 +102,8 @@ class SimulatedPerception:
                 where=f"frame {frame.index}",
                 todo="choose a log with labels, or a detector file",
             )
-        expected = self._camera.height, self._camera.width
+        camera = self._camera if frame.calibration is None else frame.calibration.color
+        expected = camera.height, camera.width
         if frame.labels.shape != expected:
             raise ProgroundError(
                 f"the labels have shape {frame.labels.shape}, the colour camera {expected}",
@@ -118,19 +119,19 @@ class SimulatedPerception:
             if thing.label not in self._meanings:
                 continue
             moment = frame.index, thing.number
-            tendency = self._tendencies(self._place(thing, frame.world_from_camera))
+            tendency = self._tendencies(self._place(thing, camera, frame.world_from_camera))
             outlines = self._outlines(numbers, thing, stream(self._seed, "outlines", *moment))
             for turn, outline in enumerate(outlines):
                 random = stream(self._seed, "sights", *moment, turn)
-                sight = self._look(thing, outline, tendency, random)
+                sight = self._look(thing, outline, camera.width, tendency, random)
                 if sight.relevance.max() >= self._detection:
                     found.append((outline, sight))
         return _regions(found, frame.labels.shape, len(self._prompts))
 
-    def _place(self, thing: Thing, world_from_camera: np.ndarray) -> np.ndarray:
+    def _place(self, thing: Thing, camera: Camera, world_from_camera: np.ndarray) -> np.ndarray:
         """Where a thing is, in metres, and the direction to it, in world axes, [6]."""
         column, row = (int(value) for value in thing.centre)
-        ray = world_from_camera[:3, :3] @ self._camera.directions[row, column]
+        ray = world_from_camera[:3, :3] @ camera.directions[row, column]
         point_m = world_from_camera[:3, 3] + ray * (thing.depth_m or _UNKNOWN_DEPTH_M)
         return np.concatenate([point_m, ray / np.linalg.norm(ray)])
 
@@ -144,16 +145,21 @@ class SimulatedPerception:
         return outlines
 
     def _look(
-        self, thing: Thing, outline: Outline, tendency: np.ndarray, random: np.random.Generator
+        self,
+        thing: Thing,
+        outline: Outline,
+        width: int,
+        tendency: np.ndarray,
+        random: np.random.Generator,
     ) -> _Sight:
-        """What the detector makes of what it has outlined."""
+        """What the detector makes of what it has outlined in an image of this width."""
         strength, meaning = self._strength, self._meanings[thing.label]
         level_jitter = random.standard_normal()
         aimless = _meaning(random.standard_normal(EMBEDDING_WIDTH))
         # Drawn last and prompt by prompt: a further prompt leaves the others' noise as it is.
         passing = random.standard_normal(len(tendency))
         noise = np.sqrt(_PERSISTENT) * tendency + np.sqrt(1 - _PERSISTENT) * passing
-        side_px = np.sqrt(np.prod(outline.box[2:] - outline.box[:2])) * 640 / self._camera.width
+        side_px = np.sqrt(np.prod(outline.box[2:] - outline.box[:2])) * 640 / width
 
         clarity = expit(_CLARITY - strength * (_difficulty(thing, side_px) + _MOOD * noise[0]))
         likeness = np.append(_NONE_SIMILARITY, self._prompts @ meaning)

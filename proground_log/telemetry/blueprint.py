@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.encodings import TextLogColumnKind
-
-from proground_log.log.topics import COLOR, DEPTH, LABELS_PREVIEW
 
 APPLICATION_ID = "proground-log"
 BACKGROUND = (24, 26, 31)
@@ -66,34 +65,66 @@ def replay_blueprint(*, with_semantics: bool = False) -> rrb.Blueprint:
     )
 
 
-def log_blueprint(
-    *, with_labels: bool = False, up: tuple[float, float, float] = (0.0, 0.0, 1.0)
-) -> rrb.Blueprint:
-    """The layout of a log as recorded: depth in space, the camera moving, both images.
+@dataclass(frozen=True)
+class Eye:
+    """From where a scene is looked at; world axes.
 
     Args:
-        with_labels: whether the log has ground truth labels to show.
-        up: the world's upward direction.
+        position_m, target_m: of the eye, and what it looks at, [3].
+        up: the upward direction, of length 1, [3].
+        floor_m: height of the floor along it.
     """
+
+    position_m: tuple[float, ...]
+    target_m: tuple[float, ...]
+    up: tuple[float, ...]
+    floor_m: float
+
+
+@dataclass(frozen=True)
+class LogLayout:
+    """What a log's recording has to show.
+
+    Args:
+        eye: from where its surface is seen.
+        with_labels: whether there is ground truth.
+        with_regions: whether there is what perception found.
+    """
+
+    eye: Eye
+    with_labels: bool
+    with_regions: bool
+
+
+def log_blueprint(layout: LogLayout) -> rrb.Blueprint:
+    """The layout of a log as recorded: surface and way, the camera moving, its images."""
+    eye = layout.eye
     pictures = [
-        rrb.Spatial2DView(origin=COLOR, name="Colour"),
-        rrb.Spatial2DView(origin=DEPTH, name="Depth"),
+        rrb.Spatial2DView(origin="world/camera/color", name="Colour"),
+        rrb.Spatial2DView(origin="depth", name="Depth"),
     ]
-    if with_labels:
-        pictures.append(rrb.Spatial2DView(origin=LABELS_PREVIEW, name="Labels"))
+    if layout.with_labels:
+        pictures.append(rrb.Spatial2DView(origin="labels", name="Labels"))
+    if layout.with_regions:
+        pictures.append(rrb.Spatial2DView(origin="found", name="Found"))
     scene = rrb.Spatial3DView(
-        # Labels would be unprojected as if they were depth.
-        contents=["+ /**", "- /ground_truth/**", "- /perception/**"],
-        name="Scene",
+        origin="world",
+        name="Scene: the grid is of 1 m",
         background=rrb.Background(color=BACKGROUND),
-        eye_controls=rrb.EyeControls3D(eye_up=up),
+        line_grid=rrb.LineGrid3D(
+            visible=True,
+            spacing=1.0,
+            plane=rr.components.Plane3D(eye.up, eye.floor_m),
+        ),
+        eye_controls=rrb.EyeControls3D(
+            position=eye.position_m, look_target=eye.target_m, eye_up=eye.up
+        ),
     )
     return rrb.Blueprint(
         rrb.Horizontal(scene, rrb.Vertical(*pictures), column_shares=[5, 3]),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        # The transforms carry no stamp of their own, so the camera moves on this timeline only.
-        rrb.TimePanel(state="collapsed", timeline="message_log_time"),
+        rrb.TimePanel(state="collapsed", timeline="time"),
     )
 
 

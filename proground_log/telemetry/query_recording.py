@@ -12,10 +12,11 @@ import rerun.blueprint as rrb
 
 from proground_log.events import MeshExtracted
 from proground_log.files import written_whole
+from proground_log.log.upright import nearest_axis, up_direction
 from proground_log.telemetry.blueprint import BACKGROUND
 from proground_log.telemetry.rerun_sink import open_recording
 from proground_log.telemetry.surface import heat_colors, surface
-from proground_log.telemetry.upright import VIEW_COORDINATES, up_axis
+from proground_log.telemetry.upright import VIEW_COORDINATES
 
 BOX_COLOR = (255, 90, 60)
 """Apart from all of the heat's colours."""
@@ -62,8 +63,8 @@ def write_query_recording(
     # Rerun's own file sink waits forever once a disk is full: the bytes are written here.
     stream = rr.binary_stream(recording)
     recording.send_blueprint(_blueprint([drawing.query for drawing in drawings]))
-    axis = (2, 1) if world_from_camera is None else up_axis(world_from_camera)
-    recording.log("world", VIEW_COORDINATES[axis], static=True)
+    up = np.array([0, 0, 1]) if world_from_camera is None else up_direction(world_from_camera[None])
+    recording.log("world", VIEW_COORDINATES[nearest_axis(up)], static=True)
     for number, drawing in enumerate(drawings):
         colors = _glowing(mesh.colors, drawing.heat)
         recording.log(f"world/map/relevance/{number}", surface(mesh, colors), static=True)

@@ -22,6 +22,7 @@ from proground_log.events import (
     ViewRendered,
 )
 from proground_log.files import disk_errors
+from proground_log.log.upright import nearest_axis, up_direction
 from proground_log.telemetry import images
 from proground_log.telemetry.blueprint import APPLICATION_ID, SEMANTIC_LOSSES, replay_blueprint
 from proground_log.telemetry.budget import BudgetDrawing
@@ -30,7 +31,7 @@ from proground_log.telemetry.documents import summary_document
 from proground_log.telemetry.palette import CURVE_COLORS, TOTAL_COLOR
 from proground_log.telemetry.semantics import SemanticDrawing
 from proground_log.telemetry.surface import surface
-from proground_log.telemetry.upright import VIEW_COORDINATES, up_axis
+from proground_log.telemetry.upright import VIEW_COORDINATES
 
 CAMERA_IMAGE_WIDTH = 320
 """Width in pixels of the picture in the camera's frustum."""
@@ -70,7 +71,7 @@ class TelemetrySink:
         self._depth_far_m = depth_far_m
         self._last_position_m = last_position_m
         self._now = Moment(frame=0, step=max(0, steps_done - 1), sim_time_ns=0)
-        self._camera: Camera | None = None
+        self._is_upright = False
         self._recording = open_recording(recording_id)
         # Rerun's own file sink waits forever once a disk is full: the bytes are written here.
         self._bytes = rr.binary_stream(self._recording)
@@ -141,11 +142,12 @@ class TelemetrySink:
     def _on_frame_arrived(self, event: FrameArrived) -> None:
         frame = event.frame
         self._now = Moment(frame.index, self._now.step, event.sim_time_ns)
-        if frame.camera != self._camera:
-            self._camera = frame.camera
-            self._log_static("world/camera", pinhole(frame.camera))
-            up = up_axis(frame.world_from_camera)
+        if not self._is_upright:
+            self._is_upright = True
+            up = nearest_axis(up_direction(frame.world_from_camera[None]))
             self._log_static("world", VIEW_COORDINATES[up])
+        # Said with every frame: phones refocus, and a resumed replay says what it would have said.
+        self._log("world/camera", pinhole(frame.camera))
         pose = frame.world_from_camera
         self._log("world/camera", rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
         self._log("world/camera", images.jpeg(images.fit_width(frame.color, CAMERA_IMAGE_WIDTH)))

@@ -13,15 +13,11 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-import rerun as rr
 from rerun.experimental import ViewerClient
 
 from proground_log.errors import ProgroundError
 from proground_log.files import require_file
-from proground_log.locations import local_copy
-from proground_log.log.reader import LogReader
-from proground_log.telemetry.blueprint import log_blueprint
-from proground_log.telemetry.upright import up_vector
+from proground_log.telemetry.log_recording import write_log_recording
 
 TELEMETRY_FILE = "telemetry.rrd"
 LOCALHOST = "127.0.0.1"
@@ -138,22 +134,9 @@ def _telemetry_of(path: Path) -> Path:
     )
 
 
-def _convert(log: Path, recording_path: Path) -> Path:
-    """A log as a recording with a blueprint of its own."""
-    reader = LogReader(log)
-    first = next(reader.frames([0]))
-    recording = rr.RecordingStream(log.stem, send_properties=False)
-    recording.set_log_time_enabled(False)
-    recording.set_log_tick_enabled(False)
-    blueprint = log_blueprint(
-        with_labels=first.labels is not None, up=up_vector(first.world_from_camera)
-    )
-    recording.save(recording_path, default_blueprint=blueprint)
-    with local_copy(log) as file:
-        recording.log_file_from_path(file)
-    recording.flush()
-    recording.disconnect()
-    return recording_path
+def _convert(log: Path, recording: Path) -> Path:
+    write_log_recording(log, recording)
+    return recording
 
 
 def _free_port() -> int:

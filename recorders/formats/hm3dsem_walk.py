@@ -18,7 +18,7 @@ from proground_log.camera import Calibration, Camera, require_rigid
 from proground_log.errors import ProgroundError
 from proground_log.files import nearest_above
 from proground_log.frame import SensorFrame
-from recorders.reading.association import frame_stamp_ns, parse_matrix, read_text
+from recorders.reading.association import frame_stamp_ns, is_tracked, parse_matrix, read_text
 from recorders.reading.axes import opencv_from_opengl
 from recorders.reading.images import (
     numbered_files,
@@ -157,7 +157,7 @@ def _find_frames(source: Path) -> tuple[list[_Files], int]:
                 )
         path = poses[number]
         pose = parse_matrix(read_text(path), where=path)
-        if np.isfinite(pose).all():
+        if is_tracked(pose):
             pose = opencv_from_opengl(require_rigid(pose, where=path))
             frames.append(_Files(number, colors[number], depth, things.get(number), pose))
     if not frames:

@@ -19,12 +19,13 @@ import numpy as np
 from proground_log.camera import Calibration, Camera, require_rigid
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
-from recorders.formats.nerfstudio_camera import read_camera, resized
+from recorders.formats.nerfstudio_camera import read_camera
 from recorders.reading.association import frame_stamp_ns
 from recorders.reading.axes import opencv_from_opengl
 from recorders.reading.images import read_color, read_depth, read_encoded
 from recorders.reading.json_file import read_json
 from recorders.reading.layout import holds
+from recorders.reading.natural_order import natural_key
 from recorders.reading.npy import read_npy_image
 
 FILE_NAME = "transforms.json"
@@ -128,7 +129,7 @@ class NerfstudioSource:
     def _calibration(self, frame: _Frame) -> Calibration:
         """The frame's cameras; the depth image shows what the colour image does, at its size."""
         color = read_camera(frame.params, self._color_size, where=frame.where)
-        return Calibration(color, resized(color, *self._depth_size), np.eye(4))
+        return Calibration(color, color.resized(*self._depth_size), np.eye(4))
 
     def _read_depth(self, path: Path, camera: Camera) -> np.ndarray:
         if path.suffix != ".npy":
@@ -171,13 +172,6 @@ def _depth_size(path: Path) -> tuple[int, int]:
     return image.width, image.height
 
 
-def _natural(text: str) -> list[tuple[int, int, str]]:
-    """A key that sorts names with the numbers in them as numbers."""
-    parts = re.findall(r"\d+|\D+", text)
-    # A number by its length without leading zeros, then by its digits.
-    return [(1, len(d := p.lstrip("0")), d) if p[0].isdigit() else (2, 0, p) for p in parts]
-
-
 def _find_frames(
     path: Path, content: Mapping[str, Any], scale: float
 ) -> tuple[list[_Frame], dict[str, str]]:
@@ -190,7 +184,7 @@ def _find_frames(
         name = entry.get("file_path") if isinstance(entry, dict) else None
         if not isinstance(name, str):
             raise ProgroundError("has no file_path", where=where, todo="mend or remove the frame")
-        entries.append((_natural(name), number, name, entry, where))
+        entries.append((natural_key(name), number, name, entry, where))
     frames, without_depth, without_pose = [], 0, 0
     for place, (_, _, name, entry, where) in enumerate(sorted(entries, key=lambda each: each[:2])):
         pose = _read_pose(entry.get("transform_matrix"), scale, where=where)

@@ -35,7 +35,9 @@ def read_camera(params: Mapping[str, Any], size: tuple[int, int], *, where: obje
             todo=f"undistort the images; known: {', '.join(PERSPECTIVE + FISHEYE)}",
         )
     try:
-        width, height = (int(params.get(key, each)) for key, each in zip("wh", size, strict=True))
+        width, height = (
+            int(float(params.get(key, each))) for key, each in zip("wh", size, strict=True)
+        )
         fx = _focal_length(params, "x", width)
         fy = _focal_length(params, "y", height) if _has_focal_length(params, "y") else fx
         cx, cy = float(params.get("cx", width / 2)), float(params.get("cy", height / 2))
@@ -60,14 +62,6 @@ def read_camera(params: Mapping[str, Any], size: tuple[int, int], *, where: obje
         )
     distortion = (k1, k2, p1, p2, k3)
     return Camera(width, height, fx, fy, cx, cy, distortion if any(distortion) else ())
-
-
-def resized(camera: Camera, width: int, height: int) -> Camera:
-    """The camera of the same view, its image stretched to another size."""
-    x, y = width / camera.width, height / camera.height
-    return Camera(
-        width, height, camera.fx * x, camera.fy * y, camera.cx * x, camera.cy * y, camera.distortion
-    )
 
 
 def _has_focal_length(params: Mapping[str, Any], axis: str) -> bool:

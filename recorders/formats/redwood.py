@@ -16,11 +16,11 @@ from proground_log.camera import Calibration, Camera
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
 from recorders.reading.association import (
-    SECOND_NS,
     associate,
     frame_stamp_ns,
     parse_pose,
     read_text,
+    span_ns,
 )
 from recorders.reading.images import numbered_files, read_color, read_depth
 from recorders.reading.json_file import read_json
@@ -72,7 +72,7 @@ class RedwoodSource:
         depths = _timed_files(source / "depth", r"(\d{1,9})(?:-\d{1,15})?\.png")
         path = trajectory or _only_log(source)
         poses = _read_log(path, images=len(depths))
-        limit_ns = round(max_time_difference_s * SECOND_NS)
+        limit_ns = span_ns(max_time_difference_s, name="max_time_difference_s")
         pairs = associate([at for at, _ in depths], [at for at, _ in colors], limit_ns)
         self._frames = [(depths[i], colors[j], poses[i]) for i, j in pairs if i in poses]
         self.notes = {
@@ -188,7 +188,8 @@ def _read_camera(source: Path) -> Camera:
         return CAMERA
     try:
         content = read_json(path)
-        width, height = int(content["width"]), int(content["height"])
+        # By way of a float, for 1e999999999 has too many digits.
+        width, height = int(float(content["width"])), int(float(content["height"]))
         matrix = np.array(content["intrinsic_matrix"], dtype=np.float64).reshape(3, 3).T
     except (KeyError, TypeError, ValueError, ArithmeticError) as error:
         raise ProgroundError(

@@ -17,8 +17,8 @@ from proground_log.camera import Calibration, require_rigid
 from proground_log.errors import ProgroundError
 from proground_log.files import nearest_above
 from proground_log.frame import SensorFrame
-from recorders.formats.scannet_sens import FRAME_RATE_HZ, camera_of, is_tracked, rig
-from recorders.reading.association import frame_stamp_ns, parse_matrix, read_text
+from recorders.formats.scannet_sens import FRAME_RATE_HZ, camera_of, rig
+from recorders.reading.association import frame_stamp_ns, is_tracked, parse_matrix, read_text
 from recorders.reading.images import (
     numbered_files,
     read_color,

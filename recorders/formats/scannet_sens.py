@@ -18,7 +18,7 @@ from proground_log.camera import Calibration, Camera, require_rigid
 from proground_log.errors import ProgroundError
 from proground_log.files import require_file
 from proground_log.frame import SensorFrame
-from recorders.reading.association import frame_stamp_ns
+from recorders.reading.association import frame_stamp_ns, is_tracked
 from recorders.reading.images import encoded_image, encoded_png, require_size
 
 FRAME_RATE_HZ = 30
@@ -103,11 +103,6 @@ def camera_of(intrinsic: np.ndarray, width: int, height: int, *, where: object) 
             todo="pass the calibration of these images",
         )
     return Camera.from_integer_centres(width, height, fx, fy, cx, cy)
-
-
-def is_tracked(world_from_camera: np.ndarray) -> bool:
-    """Whether a frame has a pose: without one it is -inf, nan or all zero."""
-    return bool(np.isfinite(world_from_camera).all() and world_from_camera.any())
 
 
 class ScannetSensSource:

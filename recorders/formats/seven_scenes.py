@@ -1,7 +1,8 @@
 """7-Scenes, also as 3DMatch and tsdf-fusion-python lay it out: sequences of a hand-held Kinect.
 
 A sequence folder has frame-%06d.color.{png,jpg}, frame-%06d.depth.png (millimetres, 0 and 65535
-where nothing was measured) and frame-%06d.pose.txt (world_from_camera of the depth camera).
+where nothing was measured) and frame-%06d.pose.txt (world_from_camera of the depth camera; not
+finite where tracking was lost, in the recordings of BundleFusion).
 """
 
 from __future__ import annotations
@@ -11,10 +12,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from proground_log.camera import Calibration, Camera
+from proground_log.camera import Calibration, Camera, require_rigid
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
-from recorders.reading.association import frame_stamp_ns, parse_pose, read_text
+from recorders.reading.association import frame_stamp_ns, is_tracked, parse_matrix, read_text
 from recorders.reading.images import numbered_files, read_color, read_depth
 from recorders.reading.layout import holds
 
@@ -54,23 +55,23 @@ def recognise(source: Path) -> str | None:
 
 
 class SevenScenesSource:
-    """One sequence; frames are in the order of their numbers, which may have gaps."""
+    """One sequence; frames are in the order of their numbers, those without a pose left out."""
 
     name = "seven-scenes"
 
     def __init__(self, source: Path, *, calibration: Calibration | None = None) -> None:
-        """Find the sequence's files.
+        """Find the sequence's files and read its poses.
 
         Args:
             source: a sequence folder, or a scene's folder with one seq-* folder in it.
             calibration: the rig; by default the Kinect of the data set.
 
         Raises:
-            ProgroundError: no such folder, no frame, several sequences, or a file is missing.
+            ProgroundError: no such folder, several sequences, a file is missing or broken, or no
+                frame has a pose.
         """
         self.calibration = calibration or kinect_calibration()
         self.label_names: dict[int, str] = {}
-        self.notes: dict[str, str] = {}
         self.warnings: tuple[str, ...] = ()
         folder = _sequence_folder(source)
         depths = numbered_files(folder, r"frame-(\d+)\.depth\.png")
@@ -83,20 +84,32 @@ class SevenScenesSource:
                 todo="give a sequence folder of 7-Scenes, such as redkitchen/seq-01",
             )
         for others, suffix in ((colors, "color.png (or .jpg)"), (poses, "pose.txt")):
-            for number in depths.keys() - others.keys():
+            for number in sorted(depths.keys() - others.keys()):
                 raise ProgroundError(
                     "no such file, though the frame has depth",
                     where=folder / f"frame-{number:06d}.{suffix}",
                     todo="complete the sequence, or remove the frame's other files",
                 )
-        self._frames = [(n, colors[n], depth, poses[n]) for n, depth in depths.items()]
+        read = {n: parse_matrix(read_text(poses[n]), where=poses[n]) for n in depths}
+        self._frames = [
+            (number, colors[number], depths[number], require_rigid(pose, where=poses[number]))
+            for number, pose in read.items()
+            if is_tracked(pose)
+        ]
+        if not self._frames:
+            raise ProgroundError(
+                f"none of the {len(depths)} frames has a pose",
+                where=folder,
+                todo="record another sequence: this one could not be tracked",
+            )
+        self.notes = {"frames without a pose": str(len(depths) - len(self._frames))}
 
     def __len__(self) -> int:
         return len(self._frames)
 
     def frame(self, index: int) -> SensorFrame:
         """Read frame `index`; its depth is uint16 in millimetres, 0 where nothing was measured."""
-        number, color_path, depth_path, pose_path = self._frames[index]
+        number, color_path, depth_path, pose = self._frames[index]
         color = read_color(color_path, self.calibration.color)
         depth = read_depth(depth_path, self.calibration.depth)
         depth[depth == INVALID_DEPTH_MM] = 0
@@ -108,7 +121,7 @@ class SevenScenesSource:
             color=color.data,
             color_format=color.format,
             depth=depth,
-            world_from_camera=parse_pose(read_text(pose_path), where=pose_path),
+            world_from_camera=pose,
         )
 
     def ground_truth_mesh(self) -> bytes | None:

@@ -22,9 +22,11 @@ from recorders.reading.association import (
     associate,
     parse_stamp_ns,
     read_text,
+    span_ns,
 )
 from recorders.reading.images import read_color, read_depth
 from recorders.reading.layout import holds
+from recorders.reading.names import is_inside
 
 DEPTH_PER_M = 5000
 MAX_POSE_GAP_S = 0.1
@@ -137,15 +139,15 @@ class TumSource:
             ProgroundError: a list is missing or broken, the name does not tell the camera, or
                 no pair has a pose.
         """
-        self._rig = _rig(source, calibration)
-        self.calibration = calibration or Calibration.registered(self._rig.camera)
+        limit_ns = span_ns(max_time_difference_s, name="max_time_difference_s")
         self.label_names: dict[int, str] = {}
         depths, colors = _read_list(source / "depth.txt"), _read_list(source / "rgb.txt")
         trajectory = read_trajectory(source / "groundtruth.txt")
         depth_stamps_ns, color_stamps_ns = (
             [stamp for stamp, _ in each] for each in (depths, colors)
         )
-        limit_ns = round(max_time_difference_s * SECOND_NS)
+        self._rig = _rig(source, calibration)
+        self.calibration = calibration or Calibration.registered(self._rig.camera)
         pairs = [
             (depths[i], colors[j]) for i, j in associate(depth_stamps_ns, color_stamps_ns, limit_ns)
         ]
@@ -191,11 +193,12 @@ class TumSource:
 
 
 def _rig(source: Path, calibration: Calibration | None) -> Rig:
-    """The rig that the folder's name tells; where it tells none, whatever has the calibration."""
-    name = source.resolve().name
-    for pattern, rig in RIGS.items():
-        if re.search(pattern, name, re.IGNORECASE):
-            return rig
+    """The rig that the folder's name tells, a link's own before that of where it leads to; where
+    none does, whatever has the calibration."""
+    for name in (source.absolute().name, source.resolve().name):
+        for pattern, rig in RIGS.items():
+            if re.search(pattern, name, re.IGNORECASE):
+                return rig
     if calibration is None:
         raise ProgroundError(
             "the folder's name does not tell which camera it was",
@@ -223,11 +226,14 @@ def _rows(path: Path, columns: int) -> Iterator[tuple[str, list[str]]]:
 
 
 def _read_list(path: Path) -> list[tuple[int, Path]]:
-    """Times in nanoseconds and paths of the images in rgb.txt or depth.txt."""
-    return [
-        (parse_stamp_ns(stamp, where=where), path.parent / name.strip())
-        for where, (stamp, name) in _rows(path, columns=2)
-    ]
+    """Times in nanoseconds and paths of the images in rgb.txt or depth.txt, each once."""
+    images = []
+    for where, (stamp, name) in _rows(path, columns=2):
+        if not is_inside(name.strip()):
+            what = f"{name.strip()[:80]!r} is no file in this folder"
+            raise ProgroundError(what, where=where, todo="mend or remove the line")
+        images.append((parse_stamp_ns(stamp, where=where), path.parent / name.strip()))
+    return list(dict.fromkeys(images))
 
 
 def read_trajectory(path: Path) -> Trajectory:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from proground_log.files import require_file
 
 SECOND_NS = 1_000_000_000
 LARGEST_STAMP_NS = 2**63 - 1
+LONGEST_SPAN_S = 1e9
 UNIT_TOLERANCE = 1e-2
 """How far a quaternion's norm may be from 1: some files carry three digits."""
 
@@ -23,7 +24,8 @@ UNIT_TOLERANCE = 1e-2
 def read_text(path: Path) -> str:
     """The text of a file; raises a ProgroundError where it is missing or is not text."""
     try:
-        return require_file(path).read_text(encoding="utf-8")
+        # Editors on Windows put a byte order mark first, which is not of the text.
+        return require_file(path).read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise ProgroundError("is not a text file", where=path, todo="check the path") from error
 
@@ -41,13 +43,30 @@ def parse_stamp_ns(text: str, *, where: object) -> int:
     """
     try:
         seconds = Decimal(text)
-    except InvalidOperation:
-        seconds = Decimal("nan")
-    if not seconds.is_finite() or abs(seconds) > LARGEST_STAMP_NS // SECOND_NS:
+        is_time = abs(seconds) <= LARGEST_STAMP_NS // SECOND_NS
+    except ArithmeticError:  # No number, or one with too large an exponent.
+        is_time = False
+    if not is_time:
         raise ProgroundError(
             f"{text!r} is not a time in seconds", where=where, todo="mend or remove the line"
         )
     return int((seconds * SECOND_NS).to_integral_value())
+
+
+def span_ns(seconds: float, *, name: str) -> int:
+    """Nanoseconds of a length of time that the user chose.
+
+    Args:
+        seconds: how long.
+        name: the option's name, for messages.
+
+    Raises:
+        ProgroundError: it is no number from 0 to 1e9 seconds, some 30 years.
+    """
+    if not 0 <= seconds <= LONGEST_SPAN_S:
+        todo = f"choose seconds from 0 to {LONGEST_SPAN_S:g}"
+        raise ProgroundError(f"{seconds} s is no length of time", where=name, todo=todo)
+    return round(seconds * SECOND_NS)
 
 
 def frame_stamp_ns(number: int, rate_hz: int) -> int:
@@ -81,6 +100,11 @@ def parse_matrix(text: str, *, where: object) -> np.ndarray:
             todo="leave the frame out, or mend its pose in the source",
         )
     return numbers.reshape(4, 4)
+
+
+def is_tracked(world_from_camera: np.ndarray) -> bool:
+    """Whether a frame has a pose [4, 4]: where tracking was lost it is -inf, nan or all zero."""
+    return bool(np.isfinite(world_from_camera).all() and world_from_camera.any())
 
 
 def associate(

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import io
 import re
+import struct
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
 from proground_log.camera import Camera
-from proground_log.encoded_image import is_whole, png_is_whole
+from proground_log.encoded_image import is_whole, png_is_whole, png_size
 from proground_log.errors import ProgroundError
 from proground_log.files import require_file
 
@@ -80,7 +81,7 @@ def encoded_image(data: bytes, *, where: object) -> EncodedImage:
     try:
         with Image.open(io.BytesIO(data)) as image:
             kind, (width, height) = image.format, image.size
-    except (UnidentifiedImageError, Image.DecompressionBombError, OSError, SyntaxError) as error:
+    except (Image.DecompressionBombError, OSError, SyntaxError, ValueError, struct.error) as error:
         raise ProgroundError("is not a readable image", where=where, todo=COPY_AGAIN) from error
     if kind not in ("JPEG", "PNG"):
         raise ProgroundError(
@@ -113,7 +114,7 @@ def read_depth(path: Path, camera: Camera) -> np.ndarray:
         ProgroundError: the file is missing, cut short, broken, not 16-bit with one channel, or
             of another size than the camera's.
     """
-    depth = _decode_png(path)
+    depth = _decode_png(path, camera)
     if depth.dtype != np.uint16 or depth.ndim != 2:
         channels = 1 if depth.ndim == 2 else depth.shape[2]
         raise ProgroundError(
@@ -121,7 +122,6 @@ def read_depth(path: Path, camera: Camera) -> np.ndarray:
             where=path,
             todo="depth has to be a PNG of 16 bits and one channel",
         )
-    require_size(path, (depth.shape[1], depth.shape[0]), camera)
     return depth
 
 
@@ -131,23 +131,24 @@ def read_labels(path: Path, camera: Camera) -> np.ndarray:
     Raises:
         ProgroundError: as `read_depth`.
     """
-    labels = _decode_png(path)
+    labels = _decode_png(path, camera)
     if labels.ndim != 2:
         raise ProgroundError(
             f"is not a class image: it has {labels.shape[2]} channels",
             where=path,
             todo="classes have to be a PNG of 8 or 16 bits and one channel",
         )
-    require_size(path, (labels.shape[1], labels.shape[0]), camera)
     return labels.astype(np.uint16)
 
 
-def _decode_png(path: Path) -> np.ndarray:
+def _decode_png(path: Path, camera: Camera) -> np.ndarray:
+    """The pixels of a PNG, whose size is compared with the camera's before anything is decoded."""
     data = require_file(path).read_bytes()
     if not png_is_whole(data):
         raise ProgroundError(
             "is not a whole PNG image (no end marker)", where=path, todo=COPY_AGAIN
         )
+    require_size(path, png_size(data), camera)
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None:
         raise ProgroundError("the PNG image cannot be decoded", where=path, todo=COPY_AGAIN)

@@ -182,14 +182,22 @@ def test_what_has_no_frame_is_not_kept(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_broken_source_leaves_nothing(tmp_path: Path) -> None:
+def test_a_broken_source_leaves_what_was_recorded_before(tmp_path: Path) -> None:
     def breaks() -> None:
         raise ProgroundError("is broken", where="frame 100", todo="mend it")
 
+    log, partial = tmp_path / "a.mcap", tmp_path / "a.mcap.partial"
     source = Stopped(FRAMES, happens=breaks)
-    with pytest.raises(ProgroundError, match=r"^frame 100: is broken; mend it$"):
-        record(source, "small", tmp_path / "a.mcap", Selection(), overwrite=False, progress=quiet)
-    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(
+        ProgroundError, match=r"^frame 100: is broken; mend it; `pglog recover"
+    ) as e:
+        record(source, "small", log, Selection(), overwrite=False, progress=quiet)
+    assert list(tmp_path.iterdir()) == [partial]
+    with pytest.raises(ProgroundError, match="is what a recording that was stopped left"):
+        record(source, "small", log, Selection(), overwrite=False, progress=quiet)
+    saved = recover(partial, log, overwrite=False, progress=quiet).frames
+    assert saved > 0
+    assert e.value.todo.endswith(f"saves the frames so far: {saved}")
 
 
 def test_a_recording_over_a_log_that_is_stopped_leaves_the_log(tmp_path: Path) -> None:

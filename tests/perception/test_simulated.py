@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from proground_log.camera import Calibration
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
 from proground_log.perception.simulated import LabelCounts, SimulatedPerception, count_labels
@@ -71,6 +72,18 @@ def test_without_errors_masks_boxes_and_classes_are_exact() -> None:
     np.testing.assert_array_equal(regions.boxes[cup], (30, 20, 80, 50))
     assert regions.confidence.min() > 0.7
     assert not regions.is_box.any()
+
+
+def test_a_frame_with_a_camera_of_its_own_is_seen_through_that() -> None:
+    small = CAMERA.scaled_to_width(160)
+    labels = np.zeros((small.height, small.width), np.uint16)
+    labels[50:80, 75:105] = LABELS["sofa"]
+    frame = replace(painted(labels), calibration=Calibration.registered(small))
+    regions = detector(strength=0)(frame)
+    np.testing.assert_array_equal(regions.boxes, [(75, 50, 105, 80)])
+    # To a detector, which sees images of one width, it is the same picture.
+    large = detector(strength=0)(painted(square(LABELS["sofa"], 60)))
+    np.testing.assert_array_equal(regions.relevance, large.relevance)
 
 
 def test_a_synonym_finds_its_class_and_the_unprompted_is_background() -> None:

@@ -18,6 +18,7 @@ from recorders.reading.association import (
     parse_pose,
     parse_stamp_ns,
     read_text,
+    span_ns,
 )
 
 STAMPS = st.lists(st.integers(0, 60), unique=True, max_size=20)
@@ -112,7 +113,9 @@ def test_other_notations(text: str, stamp_ns: int) -> None:
     assert parse_stamp_ns(text, where="rgb.txt") == stamp_ns
 
 
-@pytest.mark.parametrize("text", ["", "x", "nan", "inf", "1/3", "1e99", "1,5"])
+@pytest.mark.parametrize(
+    "text", ["", "x", "nan", "sNaN", "inf", "1/3", "1e99", "1e999999999", "1,5"]
+)
 def test_what_is_no_time_is_refused(text: str) -> None:
     with pytest.raises(ProgroundError, match=r"rgb\.txt:3: .* is not a time in seconds"):
         parse_stamp_ns(text, where="rgb.txt:3")
@@ -142,6 +145,22 @@ def test_pose_text_round_trips() -> None:
 def test_wrong_pose_text_is_refused(text: str, message: str) -> None:
     with pytest.raises(ProgroundError, match=rf"pose\.txt: .*{message}"):
         parse_pose(text, where="pose.txt")
+
+
+def test_a_byte_order_mark_is_no_text(tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_bytes(b"\xef\xbb\xbf# a comment\r\n")
+    assert read_text(tmp_path / "a.txt") == "# a comment\n"
+
+
+@pytest.mark.parametrize(("seconds", "ns"), [(0, 0), (0.02, 20_000_000), (1e9, 10**18)])
+def test_a_length_of_time_in_nanoseconds(seconds: float, ns: int) -> None:
+    assert span_ns(seconds, name="max_pose_gap_s") == ns
+
+
+@pytest.mark.parametrize("seconds", [-0.02, 1e10, float("inf"), float("nan")])
+def test_what_is_no_length_of_time_is_refused(seconds: float) -> None:
+    with pytest.raises(ProgroundError, match=r"max_pose_gap_s: .* no length of time; choose"):
+        span_ns(seconds, name="max_pose_gap_s")
 
 
 def test_binary_file_is_not_read_as_text(tmp_path: Path) -> None:

@@ -118,16 +118,20 @@ def tracks_of(images: list[tuple[np.ndarray, list[Observation]]]) -> dict[int, t
     }
 
 
+def write_workspace(folder: Path, frames: list[SensorFrame], camera: Camera) -> Path:
+    """Images, a binary model in sparse/0 and, aside, depth in sensor/."""
+    for name in ("images", "sensor"):
+        (folder / name).mkdir(parents=True)
+    for number, name, frame in zip(NUMBERS, NAMES, frames, strict=True):
+        (folder / "images" / name).write_bytes(frame.color)
+        cv2.imwrite(str(folder / f"sensor/{number:04d}-depth.png"), frame.depth)
+    write_binary(folder / "sparse/0", frames, camera)
+    return folder
+
+
 @pytest.fixture
 def workspace(tmp_path: Path, room: RoomSource, room_frames: list[SensorFrame]) -> Path:
-    """Images, a binary model in sparse/0 and, aside, depth in sensor/."""
-    (tmp_path / "images").mkdir()
-    (tmp_path / "sensor").mkdir()
-    for number, name, frame in zip(NUMBERS, NAMES, room_frames, strict=True):
-        (tmp_path / "images" / name).write_bytes(frame.color)
-        cv2.imwrite(str(tmp_path / f"sensor/{number:04d}-depth.png"), frame.depth)
-    write_binary(tmp_path / "sparse/0", room_frames, room.calibration.color)
-    return tmp_path
+    return write_workspace(tmp_path, room_frames, room.calibration.color)
 
 
 def write_depth_maps(

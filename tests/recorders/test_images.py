@@ -1,7 +1,10 @@
 from __future__ import annotations
 
 import io
+import struct
+import zlib
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -127,6 +130,44 @@ def test_wrong_depth_is_refused(tmp_path: Path, pixels: np.ndarray, message: str
     with pytest.raises(ProgroundError, match=message) as caught:
         read_depth(path, CAMERA)
     assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize("read", [read_depth, read_labels])
+def test_no_room_is_made_for_a_size_that_the_camera_has_not(tmp_path: Path, read: Any) -> None:
+    data = bytearray(encoded(DEPTH, ".png"))
+    data[16:24] = struct.pack(">II", 40_000, 20_000)
+    data[29:33] = zlib.crc32(data[12:29]).to_bytes(4, "big")
+    path = tmp_path / "a.png"
+    path.write_bytes(data)
+    with pytest.raises(ProgroundError, match="is 40000x20000, but the calibration is for 32x24"):
+        read(path, CAMERA)
+
+
+@pytest.mark.parametrize("read", [read_color, read_depth])
+def test_no_room_is_made_for_a_chunk_that_the_file_has_not(tmp_path: Path, read: Any) -> None:
+    data = bytearray(encoded(DEPTH, ".png"))
+    data[33:37] = struct.pack(">I", 2**30)
+    path = tmp_path / "a.png"
+    path.write_bytes(data)
+    with pytest.raises(ProgroundError, match=r"a\.png: .*(whole PNG|cut short)"):
+        read(path, CAMERA)
+
+
+def test_depth_that_is_no_png_but_ends_as_one(tmp_path: Path) -> None:
+    path = tmp_path / "a.png"
+    path.write_bytes(encoded(DEPTH, ".tiff") + encoded(DEPTH, ".png")[-12:])
+    with pytest.raises(ProgroundError, match=r"a\.png: is not a whole PNG image"):
+        read_depth(path, CAMERA)
+
+
+def test_an_image_whose_header_is_too_short_is_refused(tmp_path: Path) -> None:
+    content = b"IHDR" + bytes(5)
+    chunk = struct.pack(">I", 5) + content + zlib.crc32(content).to_bytes(4, "big")
+    whole = encoded(COLOR, ".png")
+    path = tmp_path / "a.png"
+    path.write_bytes(whole[:8] + chunk + whole[33:])
+    with pytest.raises(ProgroundError, match=r"a\.png: is not a readable image"):
+        read_encoded(path)
 
 
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])

@@ -138,6 +138,7 @@ def test_two_poses_of_one_image_are_refused(tmp_path: Path, room_frames: list[Se
         ('{"width": 640}', "does not describe the camera"),
         (json.dumps({**INTRINSIC, "intrinsic_matrix": [1, 2]}), "does not describe the camera"),
         (json.dumps({**INTRINSIC, "width": float("inf")}), "does not describe the camera"),
+        (json.dumps(INTRINSIC).replace("320", "1e999999999"), "does not describe the camera"),
         (json.dumps({**INTRINSIC, "intrinsic_matrix": [0.0] * 9}), "above 0"),
         (json.dumps({**INTRINSIC, "intrinsic_matrix": [float("nan")] * 9}), "above 0"),
         ("{", "is not JSON"),

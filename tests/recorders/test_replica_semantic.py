@@ -31,19 +31,20 @@ FACES_ONLY = PLY.replace(b"property ushort label\n", b"").replace(
 )
 
 
+def semantic_frame(frame: SensorFrame) -> SensorFrame:
+    """The frame as this layout has it: PNG, and things with numbers of their own."""
+    assert frame.labels is not None
+    return replace(
+        frame,
+        color=encoded_png(frame.decode_color()),
+        color_format="png",
+        instances=np.where(frame.labels == 0, 0, frame.labels + 300).astype(np.uint16),
+    )
+
+
 @pytest.fixture(scope="module")
 def frames(room_frames: list[SensorFrame]) -> list[SensorFrame]:
-    """The room's frames as this layout has them: PNG, and things with numbers of their own."""
-    return [
-        replace(
-            frame,
-            color=encoded_png(frame.decode_color()),
-            color_format="png",
-            instances=np.where(frame.labels == 0, 0, frame.labels + 300).astype(np.uint16),
-        )
-        for frame in room_frames
-        if frame.labels is not None
-    ]
+    return [semantic_frame(frame) for frame in room_frames]
 
 
 def write_sequence(folder: Path, frames: list[SensorFrame], names: dict[int, str]) -> Path:

@@ -10,6 +10,7 @@ import pytest
 
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
+from recorders.formats.ros import ros1_bag
 from recorders.formats.ros.ros1_bag import TF_DEFINITION, Ros1BagSource, recognise
 from recorders.room import RoomSource
 from tests.ros_bags import TF, Sent, room_messages
@@ -93,6 +94,16 @@ def test_recognise(sent: list[Sent], tmp_path: Path, room_log: Path) -> None:
         Ros1BagSource(tmp_path / "other.bag")
     with pytest.raises(ProgroundError, match="no such file"):
         Ros1BagSource(tmp_path / "nothing")
+
+
+@pytest.mark.parametrize("compression", ["BZ2", "LZ4"])
+def test_a_chunk_that_unpacks_to_too_much_is_refused(
+    compression: str, sent: list[Sent], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_bag(tmp_path / "room.bag", sent, compression)
+    monkeypatch.setattr(ros1_bag, "LARGEST_CHUNK_BYTES", 10_000)
+    with pytest.raises(ProgroundError, match="a chunk unpacks to more than 10000 bytes"):
+        Ros1BagSource(path)
 
 
 def test_without_the_package_its_installation_is_told(

@@ -494,8 +494,8 @@ def test_bayer_yuv_and_grey_become_rgb() -> None:
         color_image(cut, where="here")
 
 
-def test_our_own_logs_are_not_recorded_again(room_log: Path) -> None:
-    assert recognise(room_log) is None
+def test_our_own_logs_are_recognised_to_be_refused(room_log: Path) -> None:
+    assert recognise(room_log) == "is MCAP with ROS 2 images"
     with pytest.raises(ProgroundError, match=r"room\.mcap: is a log of pglog already"):
         Ros2BagSource(room_log)
 

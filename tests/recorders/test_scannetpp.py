@@ -79,18 +79,27 @@ def poses_of(frames: Sequence[SensorFrame], camera: Camera) -> dict[str, Any]:
     }
 
 
+def iphone_frame(frame: SensorFrame) -> SensorFrame:
+    """The frame as ScanNet++ keeps it."""
+    return replace(
+        frame,
+        depth=cv2.resize(frame.depth, (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST),
+        color=encoded_png(frame.decode_color()),
+        color_format="png",
+    )
+
+
+def write_iphone(folder: Path, frames: Sequence[SensorFrame], poses: dict[str, Any]) -> Path:
+    folder.mkdir(parents=True)
+    write_video(folder / "rgb.mkv", frames)
+    (folder / "depth.bin").write_bytes(lz4_records(frames))
+    (folder / "pose_intrinsic_imu.json").write_text(json.dumps(poses))
+    return folder
+
+
 @pytest.fixture(scope="module")
 def frames(room_frames: list[SensorFrame]) -> list[SensorFrame]:
-    """The room's frames as ScanNet++ keeps them."""
-    return [
-        replace(
-            frame,
-            depth=cv2.resize(frame.depth, (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST),
-            color=encoded_png(frame.decode_color()),
-            color_format="png",
-        )
-        for frame in room_frames
-    ]
+    return [iphone_frame(frame) for frame in room_frames]
 
 
 @pytest.fixture
@@ -100,12 +109,7 @@ def poses(frames: list[SensorFrame], room: RoomSource) -> dict[str, Any]:
 
 @pytest.fixture
 def iphone(tmp_path: Path, frames: list[SensorFrame], poses: dict[str, Any]) -> Path:
-    folder = tmp_path / "02455b3d20/iphone"
-    folder.mkdir(parents=True)
-    write_video(folder / "rgb.mkv", frames)
-    (folder / "depth.bin").write_bytes(lz4_records(frames))
-    (folder / "pose_intrinsic_imu.json").write_text(json.dumps(poses))
-    return folder
+    return write_iphone(tmp_path / "02455b3d20/iphone", frames, poses)
 
 
 @pytest.mark.parametrize("coding", CODINGS)

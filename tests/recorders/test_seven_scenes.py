@@ -96,14 +96,6 @@ def cut(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-20])
 
 
-def break_pose(path: Path) -> None:
-    path.write_text(path.read_text().replace(path.read_text().split()[5], "nan"))
-
-
-def scale_pose(path: Path) -> None:
-    np.savetxt(path, np.diag([1.1, 1.1, 1.1, 1.0]))
-
-
 def shrink(path: Path) -> None:
     cv2.imwrite(str(path), cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[::2, ::2])
 
@@ -120,8 +112,6 @@ def narrow(path: Path) -> None:
         ("depth.png", cut, "not a whole PNG"),
         ("depth.png", shrink, "16x12"),
         ("depth.png", narrow, "8 bits"),
-        ("pose.txt", break_pose, "not finite"),
-        ("pose.txt", scale_pose, "not rigid"),
     ],
 )
 def test_a_spoilt_file_is_named(
@@ -135,6 +125,31 @@ def test_a_spoilt_file_is_named(
     with pytest.raises(ProgroundError, match=message) as caught:
         source.frame(1)
     assert str(folder / f"frame-000020.{part}") in str(caught.value)
+
+
+@pytest.mark.parametrize("lost", [np.full((4, 4), -np.inf), np.zeros((4, 4))])
+def test_frames_that_were_not_tracked_are_left_out_and_counted(
+    tmp_path: Path, lost: np.ndarray
+) -> None:
+    folder = tmp_path / "seq-01"
+    written = write_sequence(folder)
+    np.savetxt(folder / "frame-000020.pose.txt", lost)
+    source = SevenScenesSource(folder, calibration=CALIBRATION)
+    assert (len(source), source.notes["frames without a pose"]) == (2, "1")
+    np.testing.assert_array_equal(source.frame(1).world_from_camera, written[100][2])
+    assert source.frame(1).stamp_ns == 100 * 10**9 // 30
+    for number in (3, 100):
+        np.savetxt(folder / f"frame-{number:06d}.pose.txt", lost)
+    with pytest.raises(ProgroundError, match="seq-01: none of the 3 frames has a pose"):
+        SevenScenesSource(folder)
+
+
+def test_a_pose_that_is_not_rigid_is_named(tmp_path: Path) -> None:
+    folder = tmp_path / "seq-01"
+    write_sequence(folder)
+    np.savetxt(folder / "frame-000020.pose.txt", np.diag([1.1, 1.1, 1.1, 1.0]))
+    with pytest.raises(ProgroundError, match=r"frame-000020\.pose\.txt: .*not rigid"):
+        SevenScenesSource(folder)
 
 
 def test_recognise(tmp_path: Path) -> None:

@@ -75,6 +75,14 @@ def test_poses_are_interpolated_at_the_depth_image(tmp_path: Path) -> None:
     np.testing.assert_allclose(turned[:3, 3], [3, 3, 3], atol=1e-12)
 
 
+@pytest.mark.parametrize("name", ["../rgb/1.png", "/rgb/1.png", "9" * 5000])
+def test_an_image_that_cannot_be_in_the_folder_is_refused(tmp_path: Path, name: str) -> None:
+    write_sequence(tmp_path / "a")
+    (tmp_path / "a/rgb.txt").write_text(f"99.995 {name}\n")
+    with pytest.raises(ProgroundError, match=r"rgb\.txt:1: .* is no file in this folder"):
+        TumSource(tmp_path / "a", calibration=CALIBRATION)
+
+
 def test_a_smaller_difference_pairs_fewer(tmp_path: Path) -> None:
     write_sequence(tmp_path / "a")
     source = TumSource(tmp_path / "a", calibration=CALIBRATION, max_time_difference_s=0.005)
@@ -99,6 +107,15 @@ def test_the_name_tells_the_camera(tmp_path: Path, name: str, fx: float, distort
     assert any(calibration.depth.distortion) == distorted
 
 
+@pytest.mark.parametrize(
+    ("name", "link"), [("desk", "fr2"), ("freiburg2_a", "desk"), ("freiburg1_a", "fr2")]
+)
+def test_a_link_has_a_name_too(tmp_path: Path, name: str, link: str) -> None:
+    write_sequence(tmp_path / name)
+    (tmp_path / link).symlink_to(name)
+    assert TumSource(tmp_path / link).calibration.depth.fx == 520.9
+
+
 @pytest.mark.parametrize("name", ["desk", "freiburg4_a", "fr12"])
 def test_a_name_that_does_not_tell_is_refused(tmp_path: Path, name: str) -> None:
     write_sequence(tmp_path / name)
@@ -114,9 +131,10 @@ def test_a_missing_list_is_named(tmp_path: Path, name: str) -> None:
         TumSource(tmp_path / "a", calibration=CALIBRATION)
 
 
-def test_an_empty_folder_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ProgroundError, match=rf"{tmp_path}"):
-        TumSource(tmp_path, calibration=CALIBRATION)
+@pytest.mark.parametrize("name", ["", "nowhere"])
+def test_a_folder_without_lists_is_named(tmp_path: Path, name: str) -> None:
+    with pytest.raises(ProgroundError, match=rf"{tmp_path / name}/depth\.txt: no such file"):
+        TumSource(tmp_path / name)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -12,7 +13,7 @@ import telemetry_stream as stream
 from rerun.chunk import RrdReader
 from telemetry_cells import Rows, rows_of, scalars
 
-from proground_log.events import Event, StepDone
+from proground_log.events import Event, FrameArrived, StepDone
 from proground_log.telemetry.images import color_error, fit_width
 from proground_log.telemetry.rerun_sink import TelemetrySink
 from proground_log.telemetry.segments import merge_segments
@@ -84,6 +85,19 @@ def test_the_camera_moves_and_leaves_a_path(rows: Rows) -> None:
     strips = np.float32([v[0] for _, v in rows["/world/trajectory", "LineStrips3D:strips"]])
     np.testing.assert_array_equal(strips[:, 1], positions)
     np.testing.assert_array_equal(strips[1:, 0], positions[:-1])
+
+
+def test_each_frame_keeps_its_own_camera(tmp_path: Path) -> None:
+    arrived = [event for event in stream.of_frames(range(4)) if isinstance(event, FrameArrived)]
+    wide = replace(stream.CAMERA, fx=40.0)
+    events = [
+        replace(event, frame=replace(event.frame, camera=camera))
+        for event, camera in zip(arrived, [stream.CAMERA, wide, wide, stream.CAMERA], strict=True)
+    ]
+    pinholes = rows_of(record(tmp_path / "a.rrd", events))[
+        "/world/camera", "Pinhole:image_from_camera"
+    ]
+    assert [value[0][0] for _, value in pinholes] == [60, 40, 40, 60]
 
 
 def test_depth_views_share_a_range_and_keep_millimetres(rows: Rows) -> None:

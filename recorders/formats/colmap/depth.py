@@ -53,8 +53,7 @@ def depth_map_camera(path: Path, camera: Camera) -> Camera:
             where=path,
             todo="take stereo/, sparse/ and images/ from one `colmap image_undistorter`",
         )
-    x, y = width / camera.width, height / camera.height
-    return Camera(width, height, camera.fx * x, camera.fy * y, camera.cx * x, camera.cy * y)
+    return camera.resized(width, height)
 
 
 def read_depth_map(path: Path) -> np.ndarray:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from proground_log.errors import ProgroundError
 from proground_log.files import require_file
 from recorders.formats.colmap.lens import camera_of, parameter_count
 from recorders.reading.association import UNIT_TOLERANCE, read_text
+from recorders.reading.names import is_inside
 
 MODEL_PARTS = ("cameras", "images", "points3D")
 _COUNT = struct.Struct("<Q")
@@ -137,8 +138,7 @@ def _broken(what: str, *, where: object) -> ProgroundError:
 
 def _require_inside(name: str, *, where: object) -> None:
     """Raise a ProgroundError unless a name stays within the folder of images."""
-    path = PurePosixPath(name)
-    if not path.name or path.is_absolute() or ".." in path.parts or "\0" in name:
+    if not is_inside(name):
         raise _broken(f"the image's name {name!r} leads out of the folder of images", where=where)
 
 

@@ -7,7 +7,6 @@ A workspace has images/ and a sparse model (sparse/ or sparse/0); a dense one, w
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -32,6 +31,7 @@ from recorders.formats.colmap.model import ModelImage, find_model, is_model, rea
 from recorders.formats.colmap.scale import Scale, View, scale_from_depth, scale_from_distances
 from recorders.reading.association import frame_stamp_ns
 from recorders.reading.images import EncodedImage, read_encoded
+from recorders.reading.natural_order import natural_key
 
 FRAME_RATE_HZ = 30
 LAST_NUMBER = 10**9
@@ -99,7 +99,7 @@ class ColmapSource:
         """
         _require_options_agree(calibration, depth, scale, distances)
         folder = find_model(source, model)
-        registered = sorted(read_model(folder), key=lambda image: _natural(image.name))
+        registered = sorted(read_model(folder), key=lambda image: natural_key(image.name))
         if not registered:
             raise ProgroundError("has no images", where=folder, todo="choose another model")
         images = images or source / "images"
@@ -267,14 +267,6 @@ def _depth_of_its_own(
             cameras = Calibration(image.camera, camera, np.eye(4))
             found[image.name] = _Depth(cameras, partial(read_depth_map, path))
     return f"{kind} depth maps", found
-
-
-def _natural(name: str) -> list[tuple[int, str]]:
-    """A key that sorts names with their numbers as numbers."""
-    pieces = re.split(r"(\d+)", name)
-    digits = [piece.lstrip("0") if index % 2 else piece for index, piece in enumerate(pieces)]
-    keys = [(len(p) if i % 2 else 0, p) for i, p in enumerate(digits)]
-    return [*keys, (0, name)]
 
 
 def _stamps_ns(names: Sequence[str]) -> tuple[list[int], str]:

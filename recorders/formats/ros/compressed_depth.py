@@ -11,15 +11,12 @@ import struct
 import cv2
 import numpy as np
 
-from proground_log.encoded_image import png_is_whole
+from proground_log.encoded_image import PNG_START, png_is_whole, png_size
 from proground_log.errors import ProgroundError
 
-PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 DAMAGED = "record the bag again, or leave this topic out"
 _HEADER = struct.Struct("<iff")
 _SIZE = struct.Struct("<II")
-_PNG_SIZE = struct.Struct(">II")
-_PNG_SIZE_AT = 16
 _PLACES = 12
 """Digits of three bits: enough for any number of pixels."""
 
@@ -68,7 +65,7 @@ def _unknown(image_format: str, where: object) -> ProgroundError:
 
 def is_depth_png(data: bytes) -> bool:
     """Whether the bytes begin a PNG of 16 bits and one channel."""
-    return data.startswith(PNG_MAGIC) and data[24:26] == b"\x10\x00"
+    return data.startswith(PNG_START) and data[24:26] == b"\x10\x00"
 
 
 def decode_depth_png(data: bytes, size: tuple[int, int], *, where: object) -> np.ndarray:
@@ -76,7 +73,7 @@ def decode_depth_png(data: bytes, size: tuple[int, int], *, where: object) -> np
     if not is_depth_png(data) or not png_is_whole(data):
         what = "the depth image is no whole PNG of 16 bits and one channel"
         raise ProgroundError(what, where=where, todo=DAMAGED)
-    _require_size(_PNG_SIZE.unpack_from(data, _PNG_SIZE_AT), size, where)
+    _require_size(png_size(data), size, where)
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None:
         raise ProgroundError("the depth image cannot be decoded", where=where, todo=DAMAGED)

@@ -23,7 +23,7 @@ from recorders.formats.ros.topics import (
     is_rectified,
     is_static,
 )
-from recorders.reading.association import SECOND_NS, associate
+from recorders.reading.association import SECOND_NS, associate, span_ns
 from recorders.reading.images import EncodedImage
 
 WORLD_FRAMES = ("map", "odom", "world")
@@ -66,12 +66,14 @@ class RosRecording:
         max_time_difference_s: float,
         max_pose_gap_s: float,
     ) -> None:
+        limit_ns = span_ns(max_time_difference_s, name="max_time_difference_s")
+        gap_ns = span_ns(max_pose_gap_s, name="max_pose_gap_s")
         self._bag = bag
         self._topics = topics = choose_topics(bag, options, needs_cameras=calibration is None)
         color, depth = topics.first[topics.color], topics.first[topics.depth]
         color_frame, depth_frame = frame_id(color), frame_id(depth)
         scan = _scanned(bag, topics, depth_frame)
-        gap_ns, where = round(max_pose_gap_s * SECOND_NS), str(bag.path)
+        where = str(bag.path)
         tree = TfTree(scan.transforms.edges(gap_ns, where=where), where=where)
         self.calibration = calibration or Calibration(
             self._camera(topics.color_info, topics.color),
@@ -89,7 +91,6 @@ class RosRecording:
         depths, colors = (
             sorted(scan.images[name].items()) for name in (topics.depth, topics.color)
         )
-        limit_ns = round(max_time_difference_s * SECOND_NS)
         pairs = [
             (depths[i], colors[j])
             for i, j in associate([t for t, _ in depths], [t for t, _ in colors], limit_ns)

@@ -5,14 +5,18 @@ Topics, cameras and poses as in a ROS 2 bag.
 
 from __future__ import annotations
 
+import bz2
 import struct
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from importlib import import_module
 from itertools import islice
 from pathlib import Path
 from threading import Lock
 from typing import Any
+
+import lz4.frame  # type: ignore[import-untyped]
 
 from proground_log.camera import Calibration
 from proground_log.errors import ProgroundError
@@ -27,6 +31,8 @@ TF_DEFINITION = "geometry_msgs/TransformStamped[] transforms"
 OLD_TF = "tf/msg/tfMessage"
 """What transforms were before tf2, the same in bytes."""
 MAGIC = b"#ROSBAG V2.0\n"
+LARGEST_CHUNK_BYTES = 2**28
+"""Unpacked; rosbag closes a chunk once it holds 768 KiB."""
 REINDEX = "mend it with `rosbag reindex` or `rosbag fix`, or copy it again"
 _STAMP = struct.Struct("<III")
 """A header's number, seconds and nanoseconds."""
@@ -87,6 +93,21 @@ def recognise(source: Path) -> str | None:
         return None
 
 
+def _bounded(decompressor: Callable[[], Any], data: bytes) -> bytes:
+    """A chunk unpacked, unless it is a bomb: the package would fill the memory with one."""
+    unpacked = decompressor().decompress(data, max_length=LARGEST_CHUNK_BYTES + 1)
+    if len(unpacked) > LARGEST_CHUNK_BYTES:
+        raise ValueError(f"a chunk unpacks to more than {LARGEST_CHUNK_BYTES} bytes")
+    return bytes(unpacked)
+
+
+_BOUNDED: dict[Callable[[bytes], bytes], Callable[[bytes], bytes]] = {
+    bz2.decompress: partial(_bounded, bz2.BZ2Decompressor),
+    lz4.frame.decompress: partial(_bounded, lz4.frame.LZ4FrameDecompressor),
+}
+"""In place of what the package unpacks with."""
+
+
 class _Ros1Bag:
     """A .bag file; one thread reads at a time."""
 
@@ -110,6 +131,9 @@ class _Ros1Bag:
         self._bag = rosbag1.Reader(path)
         with self._damage_named(""):
             self._bag.open()
+            for place, chunk in self._bag.chunks.items():
+                bounded = _BOUNDED.get(chunk.decompressor, chunk.decompressor)
+                self._bag.chunks[place] = chunk._replace(decompressor=bounded)
         self._connections = {each.id: each for each in self._bag.connections}
         self.types: dict[str, str] = {
             each.topic: TF if each.msgtype == OLD_TF else each.msgtype

@@ -13,7 +13,7 @@ from proground_log.camera import Calibration
 from proground_log.errors import ProgroundError
 from proground_log.files import require_file
 from proground_log.frame import SensorFrame
-from recorders.formats.ros.mcap_bag import McapBag, is_own_log, read_summary, ros_types
+from recorders.formats.ros.mcap_bag import McapBag, read_summary, ros_types
 from recorders.formats.ros.messages import COMPRESSED_IMAGE, IMAGE
 from recorders.formats.ros.recording import RosRecording
 from recorders.formats.ros.topics import TopicOptions
@@ -85,7 +85,7 @@ class Ros2BagSource:
 
 
 def recognise(source: Path) -> str | None:
-    """What makes a path look like a ROS 2 bag; None where it does not, or is a log of ours."""
+    """What makes a path look like a ROS 2 bag, which a log of ours is too; None otherwise."""
     try:
         if source.is_dir():
             text = read_text(source / "metadata.yaml")
@@ -96,7 +96,7 @@ def recognise(source: Path) -> str | None:
     except (ProgroundError, OSError):
         return None
     has_images = {IMAGE, COMPRESSED_IMAGE} & set(ros_types(summary).values())
-    return "is MCAP with ROS 2 images" if has_images and not is_own_log(summary) else None
+    return "is MCAP with ROS 2 images" if has_images else None
 
 
 def _files(source: Path) -> list[Path]:
