@@ -18,12 +18,10 @@ from typing import Any
 
 import lz4.frame  # type: ignore[import-untyped]
 
-from proground_log.camera import Calibration
 from proground_log.errors import ProgroundError
 from proground_log.files import require_file
-from proground_log.frame import SensorFrame
-from recorders.formats.ros.recording import RosRecording
-from recorders.formats.ros.topics import TF, Key, TopicOptions
+from recorders.formats.ros.source import RosBagSource
+from recorders.formats.ros.topics import TF, Bag, Key
 from recorders.reading.association import SECOND_NS
 
 INSTALL = "pip install 'proground-log[ros1]'"
@@ -38,50 +36,15 @@ _STAMP = struct.Struct("<III")
 """A header's number, seconds and nanoseconds."""
 
 
-class Ros1BagSource:
-    """One bag; frames are in the order of the depth images' stamps."""
+class Ros1BagSource(RosBagSource):
+    """A bag of ROS 1: a .bag file."""
 
     name = "ros1-bag"
 
-    def __init__(
-        self,
-        source: Path,
-        *,
-        calibration: Calibration | None = None,
-        color_topic: str | None = None,
-        depth_topic: str | None = None,
-        color_info_topic: str | None = None,
-        depth_info_topic: str | None = None,
-        odometry_topic: str | None = None,
-        world_frame: str | None = None,
-        max_time_difference_s: float = 0.02,
-        max_pose_gap_s: float = 0.5,
-    ) -> None:
-        """Pass over the bag once; arguments and errors as of `Ros2BagSource`."""
-        self._recording = RosRecording(
-            _Ros1Bag(source),
-            calibration,
-            TopicOptions(
-                color_topic, depth_topic, color_info_topic, depth_info_topic, odometry_topic
-            ),
-            world_frame=world_frame,
-            max_time_difference_s=max_time_difference_s,
-            max_pose_gap_s=max_pose_gap_s,
-        )
-        self.calibration = self._recording.calibration
-        self.label_names: dict[int, str] = {}
-        self.notes, self.warnings = self._recording.notes, self._recording.warnings
-
-    def __len__(self) -> int:
-        return len(self._recording)
-
-    def frame(self, index: int) -> SensorFrame:
-        """Read frame `index`; its depth is uint16 in millimetres or float32 in metres."""
-        return self._recording.frame(index)
-
-    def ground_truth_mesh(self) -> bytes | None:
-        """Bags have none."""
-        return None
+    @staticmethod
+    def open_bag(source: Path) -> Bag:
+        """The bag; raises a ProgroundError where it is damaged or what reads it is missing."""
+        return _Ros1Bag(source)
 
 
 def recognise(source: Path) -> str | None:
