@@ -15,7 +15,7 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks import log, mapping, semantics, simulation, step
+from benchmarks import log, mapping, query, semantics, simulation, step
 from benchmarks.rows import Row
 
 SECTIONS = {
@@ -24,6 +24,7 @@ SECTIONS = {
     "perception": semantics.measure_perception,
     "log": log.measure,
     "simulation": simulation.measure,
+    "query": query.measure,
     "kitchen": mapping.measure_kitchen,
     "house": mapping.measure_house,
     "memory": mapping.measure_memory,

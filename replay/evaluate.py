@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from proground_log.errors import ProgroundError
+from proground_log.evaluation.instance_scores import InstanceCounts
 from proground_log.evaluation.reconstruction import mesh_scores, score_view, view_summary
 from proground_log.log.reader import LogReader
 from proground_log.log.registration import Registration
@@ -16,6 +17,7 @@ from proground_log.perception.map_texts import texts_for
 from proground_log.perception.texts import TextSpace
 from proground_log.query.surface import extract_mesh, read_ply_vertices
 from replay.config import ReplayConfig
+from replay.evaluate_objects import instance_scores, instance_table
 from replay.evaluate_semantics import (
     LabelledPoints,
     labelled_points_of_files,
@@ -24,6 +26,7 @@ from replay.evaluate_semantics import (
     semantic_scores,
 )
 from replay.manifest import Manifest, open_log_of
+from replay.objects import VOXEL_M
 from replay.run_folder import RunFolder
 
 
@@ -62,12 +65,16 @@ class Evaluation:
     """How good a map is.
 
     Args:
-        scores: figures by name; see `view_summary`, `mesh_scores` and `score_table`.
+        scores: figures by name; see `view_summary`, `mesh_scores`, `score_table` and
+            `instance_table`.
         classes: for each class that is there its points and Top-1 in percent.
+        instances: how well the objects of each class are told apart; empty where the truth does not
+            tell objects apart or the map has no meaning.
     """
 
     scores: dict[str, float]
     classes: dict[str, tuple[int, float]]
+    instances: dict[str, InstanceCounts] = field(default_factory=dict)
 
 
 def evaluate_run(
@@ -84,7 +91,7 @@ def evaluate_run(
     Args:
         run_path: folder of a finished run.
         log_path: its log, or None where it is where the run found it.
-        voxel_m: voxels of the map's mesh.
+        voxel_m: voxels of the map's mesh; objects are told apart on one no finer than theirs.
         progress: told the views scored and the views in all.
         ground_truth: labelled points that take the place of the log's.
         texts: embeddings of candidate names that the map does not know.
@@ -104,6 +111,7 @@ def evaluate_run(
         )
     scores: dict[str, float] = {}
     classes: dict[str, tuple[int, float]] = {}
+    instances: dict[str, InstanceCounts] = {}
     if held_out:
         register = Registration(reader.calibration)
         views = []
@@ -115,15 +123,19 @@ def evaluate_run(
         mesh = extract_mesh(content, voxel_m)
         if mesh_bytes is not None:
             scores |= mesh_scores(mesh.vertices_m, read_ply_vertices(mesh_bytes))
+            if content.semantics is not None and ground_truth is None and len(mesh.vertices_m):
+                found = instance_scores(content, max(voxel_m, VOXEL_M), reader)
+                scores |= {} if found is None else instance_table(found)
+                instances = {} if found is None else found.classes
         if points is not None and space is not None:
             top_k = semantic_scores(content, points, space, mesh.vertices_m)
             scores |= score_table(top_k)
-            classes = {points.names[k]: found for k, found in top_k.per_class.items()}
+            classes = {points.names[k]: part for k, part in top_k.per_class.items()}
     sizes_bytes = content.sizes_bytes()
     scores["map_mb"] = sum(sizes_bytes.values()) / 1e6
     for part, size_bytes in sizes_bytes.items():
         scores[f"map_mb_{part.replace(' ', '_')}"] = size_bytes / 1e6
-    return Evaluation(scores, classes)
+    return Evaluation(scores, classes, instances)
 
 
 def _labelled_points(

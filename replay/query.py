@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,33 +15,38 @@ from proground_log.events import MeshExtracted
 from proground_log.files import require_file
 from proground_log.locations import located
 from proground_log.log.reader import LogReader
-from proground_log.mapping.map_file import NeuralMap, load_map
+from proground_log.mapping.map_file import load_map
 from proground_log.perception.description import PerceptionDescription
 from proground_log.perception.image_encoder import OnnxImageEncoder
 from proground_log.perception.map_texts import texts_for
 from proground_log.perception.of_log import prompt_of
-from proground_log.query.grounding import (
-    BACKGROUND,
-    background_probability,
-    relevance_to,
-    vertex_logits,
-    z_scores,
-)
+from proground_log.query.attributes import COLORS, SHARE, color_names, light_of
+from proground_log.query.boxes import OrientedBox, box_around
+from proground_log.query.grounding import BACKGROUND, relevance_to, z_scores
 from proground_log.query.instances import Instance, find_instances
-from proground_log.query.surface import Mesh, extract_mesh
+from proground_log.query.parse import Query, parse_query
+from proground_log.query.relations import RELATIONS
+from proground_log.query.surface import Mesh
 from proground_log.telemetry.query_recording import QueryDrawing, write_query_recording
 from replay.evaluate import Texts
 from replay.manifest import Manifest, file_sha256, open_log_of
+from replay.objects import (
+    Surface,
+    log_if_there,
+    require_meaning,
+    require_voxels,
+    surface_of,
+)
 from replay.run_folder import RunFolder
 
 GAP_VOXELS = 3
 """Vertices this near are of one thing: a crack of a voxel or two must not split it."""
+NOT_MARGIN = 1.0
+"""What a query must not be has to fit a vertex so much less than the query, in logits."""
 LEAST_AREA_M2 = 0.02
 """Of a thing: half a cup's. Smaller spots are specks of noise."""
 BANK_FRAMES, BANK_SIDE = 12, 2
 """The bank behind an image query: so many frames, each cut into a grid of that side."""
-POINTS_AT_ONCE = 32768
-"""Vertices at once: embeddings of all would fill the memory."""
 
 
 @dataclass(frozen=True)
@@ -78,14 +83,19 @@ class Answer:
     Args:
         query: the text, or the name of the image's file.
         measure: what the scores are.
-        scores: float32 [V], of the mesh's vertices.
+        scores: float32 [V], of the mesh's vertices; those of the thing asked for, before its
+            colour and its relations are looked at.
         things: what was found, best first.
+        boxes: the upright box of each.
+        notes: what a reader of the answer should know.
     """
 
     query: str
     measure: Measure
     scores: np.ndarray
     things: tuple[Instance, ...]
+    boxes: tuple[OrientedBox, ...]
+    notes: tuple[str, ...] = ()
 
     @property
     def best(self) -> float:
@@ -115,12 +125,14 @@ def query_run(
 
     Args:
         run_path: folder of a finished run whose log had regions.
-        names: texts to look for; each competes with the task's prompts, not with the others.
+        names: what to look for, as `parse_query` reads it; each competes with the task's prompts,
+            not with the others.
         voxel_m: voxels of the mesh whose vertices are asked.
         top_k: most things an answer has.
         image: a picture to look for.
         texts: embeddings of texts that the map does not know.
-        log_path: the run's log, or None where it is where the run found it; `image` needs it.
+        log_path: the run's log, or None where it is where the run found it; `image` needs it, and
+            without it z is up.
 
     Returns:
         The mesh, and an answer for each name, in their order; that for the image comes last.
@@ -132,36 +144,26 @@ def query_run(
     _require_sound(names, image, texts, voxel_m, top_k)
     run = RunFolder(run_path).require_finished()
     content = load_map(run.map)
-    if content.semantics is None:
-        raise ProgroundError(
-            "the map knows no meaning, since its log had no regions",
-            where=run_path,
-            todo="run `pglog perceive` on the log, and replay what it gives",
-        )
+    require_meaning(content, run_path)
+    log = log_if_there(run, log_path)
+    assert content.semantics is not None
     description = content.semantics.description
-    columns, embeddings = _embed(names, description, texts)
-    prompts, known = len(description.texts), len(embeddings)
+    queries = [parse_query(name, description.task.all_prompts) for name in names]
+    rows, embeddings = _embed(queries, description, texts)
+    known = len(embeddings)
     if image is not None:
         embeddings = np.concatenate([embeddings, _embed_image(image, run, log_path)])
-    mesh = extract_mesh(content, voxel_m)
-    if not len(mesh.vertices_m):
-        raise ProgroundError(
-            "the map has no surface to ask",
-            where=run_path,
-            todo="map more frames, or frames with depth within the bounds",
-        )
-    logits, background = _ask(content, description, mesh.vertices_m, embeddings)
-    answers = []
-    for name, column in zip(names, columns, strict=True):
-        # A query that is a prompt does not compete with itself.
-        competing = list(dict.fromkeys([*range(prompts), column]))
-        scores = relevance_to(competing.index(column), logits[:, competing], background)
-        answers.append(_answer(name, RELEVANCE, scores, mesh, voxel_m, top_k))
+    surface = surface_of(content, voxel_m, log, run_path)
+    logits, background = surface.ask(embeddings)
+    asked = _Asked(surface, rows, logits, background)
+    answers = [asked.answer(name, query, top_k) for name, query in zip(names, queries, strict=True)]
     if image is not None:
         scores = z_scores(logits[:, known], logits[:, known + 1 :])
         scores[background >= BACKGROUND] = 0
-        answers.append(_answer(image.image.name, Z_SCORE, scores, mesh, voxel_m, top_k))
-    return mesh, answers
+        things = asked.things(Z_SCORE, scores)[:top_k]
+        boxes = asked.boxes(things)
+        answers.append(Answer(image.image.name, Z_SCORE, scores, tuple(things), tuple(boxes)))
+    return surface.mesh, answers
 
 
 def draw_answers(
@@ -200,11 +202,10 @@ def _require_sound(
 ) -> None:
     """Raise a ProgroundError unless there is a question that can be answered."""
     two_spaces = texts.vocabulary is not None and texts.text_encoder is not None
+    require_voxels(voxel_m)
     faults = (
         (not names and image is None, "there is nothing to look for", "give a text or --image"),
-        (not all(name.strip() for name in names), "a text is empty", "leave it out"),
         (two_spaces, "--vocabulary and --text-encoder are both given", "leave one out"),
-        (not voxel_m > 0, f"the voxels are {voxel_m} m", "choose more than 0"),
         (top_k < 1, f"the best {top_k} are asked for", "ask for 1 or more"),
     )
     for is_fault, what, todo in faults:
@@ -213,17 +214,18 @@ def _require_sound(
 
 
 def _embed(
-    names: Sequence[str], description: PerceptionDescription, texts: Texts
-) -> tuple[list[int], np.ndarray]:
-    """The row of each name, and the embeddings: of all prompts, then of the other names."""
+    queries: Sequence[Query], description: PerceptionDescription, texts: Texts
+) -> tuple[dict[str, int], np.ndarray]:
+    """The row of each prompt and name, and the embeddings: of the prompts, then of other names."""
     space = texts_for(description, texts.vocabulary, texts.text_encoder)
     rows = {prompt: row for row, prompt in enumerate(description.task.all_prompts)}
     embeddings = [description.texts]
-    for name in names:
-        if prompt_of(name) not in rows:
-            rows[prompt_of(name)] = len(rows)
-            embeddings.append(space.embed([name]))
-    return [rows[prompt_of(name)] for name in names], np.concatenate(embeddings)
+    for query in queries:
+        for name in query.names:
+            if prompt_of(name) not in rows:
+                rows[prompt_of(name)] = len(rows)
+                embeddings.append(space.embed([name]))
+    return rows, np.concatenate(embeddings)
 
 
 def _embed_image(query: ImageQuery, run: RunFolder, log_path: Path | None) -> np.ndarray:
@@ -255,34 +257,98 @@ def background_crops(reader: LogReader) -> Iterator[np.ndarray]:
             yield from np.array_split(band, BANK_SIDE, axis=1)
 
 
-def _ask(
-    content: NeuralMap,
-    description: PerceptionDescription,
-    points_m: np.ndarray,
-    embeddings: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Logits [V, K] of points [V, 3] for embeddings [K, 512], and how likely background, [V]."""
-    logits, background = [], []
-    for start in range(0, len(points_m), POINTS_AT_ONCE):
-        semantics = content.semantics_at(points_m[start : start + POINTS_AT_ONCE])
-        scale_logits = semantics.scale_logits
-        logits.append(
-            vertex_logits(semantics.embeddings, scale_logits, description.heads, embeddings)
+@dataclass(frozen=True)
+class _Asked:
+    """What the map says of the texts of all queries.
+
+    Args:
+        surface: V vertices.
+        rows: by text its column.
+        logits: float [V, K]; the task's prompts come first.
+        background: float [V].
+    """
+
+    surface: Surface
+    rows: Mapping[str, int]
+    logits: np.ndarray
+    background: np.ndarray
+
+    def answer(self, text: str, query: Query, top_k: int) -> Answer:
+        """Find what is asked for."""
+        things, others = self._found(query)
+        notes = self._notes(query)
+        if query.other is not None and not others:
+            notes.append(f"nothing was found that is {query.other.name!r} to be {query.relation}")
+        things = things[:top_k]
+        scores = self._scores(query)
+        return Answer(
+            text, RELEVANCE, scores, tuple(things), tuple(self.boxes(things)), tuple(notes)
         )
-        background.append(background_probability(scale_logits, semantics.uncertainty))
-    return np.concatenate(logits), np.concatenate(background)
 
+    def things(self, measure: Measure, scores: np.ndarray) -> list[Instance]:
+        """Group the vertices that score well."""
+        mesh, voxel_m = self.surface.mesh, self.surface.voxel_m
+        return find_instances(
+            mesh.vertices_m,
+            mesh.faces,
+            scores,
+            threshold=measure.threshold,
+            most_gap_m=GAP_VOXELS * voxel_m,
+            # A surface has a vertex or more for each of the voxels' faces that it crosses.
+            least_vertices=math.ceil(LEAST_AREA_M2 / voxel_m**2),
+        )
 
-def _answer(
-    query: str, measure: Measure, scores: np.ndarray, mesh: Mesh, voxel_m: float, top_k: int
-) -> Answer:
-    things = find_instances(
-        mesh.vertices_m,
-        mesh.faces,
-        scores,
-        threshold=measure.threshold,
-        most_gap_m=GAP_VOXELS * voxel_m,
-        # A surface has a vertex or more for each of the voxels' faces that it crosses.
-        least_vertices=math.ceil(LEAST_AREA_M2 / voxel_m**2),
-    )
-    return Answer(query, measure, scores, tuple(things[:top_k]))
+    def boxes(self, things: Sequence[Instance]) -> list[OrientedBox]:
+        """The upright box of each."""
+        vertices_m, up = self.surface.mesh.vertices_m, self.surface.up
+        return [box_around(vertices_m[thing.vertices], up) for thing in things]
+
+    def _found(self, query: Query) -> tuple[list[Instance], list[Instance]]:
+        """The things that a query means, and those it relates them to."""
+        things = self.things(RELEVANCE, self._scores(query))
+        if query.color is not None:
+            colors = self.surface.mesh.colors
+            wanted, light = COLORS.index(query.color), light_of(colors)
+            things = [
+                thing
+                for thing in things
+                if (color_names(colors[thing.vertices], light) == wanted).mean() >= SHARE
+            ]
+        if query.relation is None or query.other is None:
+            return things, []
+        others, _ = self._found(query.other)
+        lies_so, boxes = RELATIONS[query.relation], self.boxes(others)
+        related = [
+            thing
+            for thing, box in zip(things, self.boxes(things), strict=True)
+            if any(
+                lies_so(box, other_box)
+                for other, other_box in zip(others, boxes, strict=True)
+                # A cup near a mug is not near itself.
+                if not np.intersect1d(thing.vertices, other.vertices).size
+            )
+        ]
+        return related, others
+
+    def _scores(self, query: Query) -> np.ndarray:
+        """Relevance [V] to a query's name, 0 where what it must not be fits nearly as well."""
+        column = self.rows[prompt_of(query.name)]
+        # A query that is a prompt does not compete with itself.
+        competing = list(dict.fromkeys([*range(self._prompts), column]))
+        scores = relevance_to(competing.index(column), self.logits[:, competing], self.background)
+        for name in query.without:
+            lead = self.logits[:, column] - self.logits[:, self.rows[prompt_of(name)]]
+            scores[lead < NOT_MARGIN] = 0
+        return scores
+
+    def _notes(self, query: Query) -> list[str]:
+        return [
+            f"{name!r} is none of the task's prompts: compared through its text alone, "
+            "expect lower scores"
+            for name in dict.fromkeys(query.names)
+            if self.rows[prompt_of(name)] >= self._prompts
+        ]
+
+    @property
+    def _prompts(self) -> int:
+        return len(self.surface.description.texts)

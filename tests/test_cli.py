@@ -32,8 +32,19 @@ from tests.small_source import SmallSource, with_frame, write_log
 
 COMMANDS = [
     *("record", "info", "check", "recover", "perceive", "vocabulary"),
-    *("replay", "rerun", "diff", "bisect", "calibrate", "sweep", "ablate", "query"),
-    *("evaluate", "export", "view", "demo"),
+    *(
+        "replay",
+        "rerun",
+        "diff",
+        "bisect",
+        "calibrate",
+        "sweep",
+        "ablate",
+        "query",
+        "objects",
+        "navigate",
+    ),
+    *("evaluate", "report", "export", "view", "demo"),
 ]
 
 
@@ -739,7 +750,7 @@ def test_what_is_no_run(pglog: Pglog, tmp_path: Path, small_log: Path) -> None:
 
 def test_an_unknown_export(pglog: Pglog, tmp_path: Path) -> None:
     answer = pglog("export", tmp_path, "stl", "-o", tmp_path / "a.stl")
-    assert_one_clear_line(answer, "there is no export 'stl'; use mesh")
+    assert_one_clear_line(answer, "there is no export 'stl'; use mesh, points")
 
 
 def test_an_export_that_exists(pglog: Pglog, tmp_path: Path) -> None:

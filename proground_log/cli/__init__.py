@@ -17,15 +17,19 @@ from proground_log.cli import (
     calibrate,
     demo,
     diff,
+    export,
     logs,
-    outward,
+    navigate,
+    objects,
     perception,
     query,
     record,
     recover,
+    report,
     rerun,
     runs,
     sweep,
+    view,
 )
 from proground_log.cli.common import FAILED, STOPPED
 from proground_log.errors import ProgroundError
@@ -42,11 +46,14 @@ COMMANDS: dict[str, Callable[..., int]] = {
     "diff": diff.diff_command,
     "bisect": bisect.bisect_command,
     "evaluate": runs.evaluate_command,
+    "report": report.report_command,
     "query": query.query_command,
+    "objects": objects.objects_command,
+    "navigate": navigate.navigate_command,
     "ablate": ablate.ablate_command,
     "sweep": sweep.sweep_command,
-    "export": outward.export_command,
-    "view": outward.view_command,
+    "export": export.export_command,
+    "view": view.view_command,
     "demo": demo.demo_command,
 }
 """In the order of the help."""

@@ -13,8 +13,6 @@ from proground_log.cli.common import SAME, AsJson, MaybePath, Run, err, out
 from proground_log.errors import ProgroundError
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from replay.query import Answer
 
 
@@ -35,7 +33,10 @@ def query_command(
     overwrite: bool = False,
     log: MaybePath = None,
 ) -> int:
-    """Say where things are: by a text ("red chair"), or by a picture of one.
+    """Say where things are: by a text, or by a picture of one.
+
+    A text names a thing, if need be with a colour ("red chair"), with what it is not ("chair, not
+    sofa"), and with where it is to another: on, under, above, in or near ("cup on table").
 
     Args:
         run: folder of a finished run, of a log with regions.
@@ -49,7 +50,7 @@ def query_command(
         as_json: print JSON, for programs.
         rrd: a recording of the answers to write, for rerun (.rrd).
         overwrite: replace that recording.
-        log: the run's log, where it has moved; for --image, and for what is up in --rrd.
+        log: the run's log, where it has moved; for --image, and for what is up.
     """
     from proground_log.files import require_free
     from replay.evaluate import Texts
@@ -83,38 +84,40 @@ def query_command(
 
 
 def _as_json(answer: Answer) -> dict[str, object]:
+    from replay.objects import box_json, rounded
+
     return {
         "query": answer.query,
         "measure": answer.measure.name,
         "threshold": answer.measure.threshold,
         "best_score": round(answer.best, 4),
+        "notes": list(answer.notes),
         "things": [
             {
-                "position_m": _rounded(thing.position_m),
-                "lower_m": _rounded(thing.lower_m),
-                "upper_m": _rounded(thing.upper_m),
-                "extent_m": _rounded(thing.upper_m - thing.lower_m),
+                "position_m": rounded(thing.position_m),
+                "lower_m": rounded(thing.lower_m),
+                "upper_m": rounded(thing.upper_m),
+                "extent_m": rounded(thing.upper_m - thing.lower_m),
+                "box": box_json(box),
                 "score": round(thing.score, 4),
                 "vertices": len(thing),
             }
-            for thing in answer.things
+            for thing, box in zip(answer.things, answer.boxes, strict=True)
         ],
     }
 
 
-def _rounded(vector_m: np.ndarray) -> list[float]:
-    """To the millimetre; adding 0 makes 0 of -0."""
-    return [round(float(value), 3) + 0.0 for value in vector_m]
-
-
 def _print(answers: list[Answer]) -> None:
+    from replay.objects import rounded
+
     table = Table(
         *(Column(name, overflow="fold") for name in ("query", "rank")),
         *(Column(name, justify="right") for name in ("position m", "extent m", "score")),
     )
     for answer in answers:
-        for rank, thing in enumerate(answer.things, start=1):
-            position, extent = _triple(thing.position_m), _triple(thing.upper_m - thing.lower_m)
+        for rank, (thing, box) in enumerate(zip(answer.things, answer.boxes, strict=True), start=1):
+            position = "  ".join(f"{value:.2f}" for value in rounded(thing.position_m))
+            extent = " x ".join(f"{value:.2f}" for value in box.extent_m)
             score = f"{answer.measure.name} {thing.score:.2f}"
             table.add_row(answer.query, str(rank), position, extent, score)
     if table.row_count:
@@ -122,10 +125,8 @@ def _print(answers: list[Answer]) -> None:
     for answer in answers:
         if not answer.things:
             print(f"{answer.query}: nothing found; {_why_nothing(answer)}")
-
-
-def _triple(vector_m: np.ndarray) -> str:
-    return "  ".join(f"{value:.2f}" for value in _rounded(vector_m))
+        for note in answer.notes:
+            print(f"{answer.query}: {note}")
 
 
 def _why_nothing(answer: Answer) -> str:
@@ -133,4 +134,4 @@ def _why_nothing(answer: Answer) -> str:
     best = f"the best {measure.name} on the map is {answer.best:.2f}"
     if answer.best < measure.threshold:
         return f"{best}, and {measure.threshold:.2f} is needed"
-    return f"{best}, but on spots too small for a thing"
+    return f"{best}, but on nothing that is large enough, of the colour and in the place asked for"

@@ -190,4 +190,11 @@ def evaluate_command(
         order = sorted(result.classes.items(), key=lambda item: (-item[1][0], item[0]))
         rows = {name: f"{top1:5.1f} % of {points}" for name, (points, top1) in order}
         print_table("Top-1 by class", rows)
+    if result.instances:
+        counts = sorted(result.instances.items(), key=lambda item: (-item[1].true, item[0]))
+        rows = {
+            name: f"{each.true} true, {each.found} found, {each.matched[0.25]} of them right"
+            for name, each in counts
+        }
+        print_table("objects by class, at IoU 0.25", rows)
     return SAME

@@ -20,7 +20,7 @@ from proground_log.errors import ProgroundError
 
 _HEADER = """std_msgs/Header header
 """
-_HEADER_DEFINITION = """
+HEADER_DEFINITION = """
 ================================================================================
 MSG: std_msgs/Header
 builtin_interfaces/Time stamp
@@ -33,14 +33,14 @@ uint32 nanosec
 """
 _COMPRESSED_IMAGE = f"""{_HEADER}string format
 uint8[] data
-{_HEADER_DEFINITION}"""
+{HEADER_DEFINITION}"""
 _IMAGE = f"""{_HEADER}uint32 height
 uint32 width
 string encoding
 uint8 is_bigendian
 uint32 step
 uint8[] data
-{_HEADER_DEFINITION}"""
+{HEADER_DEFINITION}"""
 _CAMERA_INFO = f"""{_HEADER}uint32 height
 uint32 width
 string distortion_model
@@ -51,7 +51,7 @@ float64[12] p
 uint32 binning_x
 uint32 binning_y
 sensor_msgs/RegionOfInterest roi
-{_HEADER_DEFINITION}
+{HEADER_DEFINITION}
 ================================================================================
 MSG: sensor_msgs/RegionOfInterest
 uint32 x_offset
@@ -66,7 +66,7 @@ _TF_MESSAGE = f"""geometry_msgs/TransformStamped[] transforms
 MSG: geometry_msgs/TransformStamped
 {_HEADER}string child_frame_id
 geometry_msgs/Transform transform
-{_HEADER_DEFINITION}
+{HEADER_DEFINITION}
 ================================================================================
 MSG: geometry_msgs/Transform
 geometry_msgs/Vector3 translation
@@ -97,7 +97,7 @@ bool[] is_box  # N: no mask fitted, the whole box stands in
 uint32 height  # of the colour image
 uint32 width
 uint8[] owner  # 16-bit PNG, height x width: 1 + the region that a pixel belongs to, 0 for none
-{_HEADER_DEFINITION}"""
+{HEADER_DEFINITION}"""
 
 DEFINITIONS = {
     COMPRESSED_IMAGE_TYPE: _COMPRESSED_IMAGE,

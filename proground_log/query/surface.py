@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from io import BytesIO
-from pathlib import Path
 
 import numpy as np
 import torch
 import trimesh
 from skimage.measure import marching_cubes
 
-from proground_log.errors import ProgroundError
 from proground_log.field.neural_field import NeuralField
-from proground_log.files import written_whole
 from proground_log.mapping.map_file import NeuralMap
 
 POINTS_AT_ONCE = 1 << 16
@@ -99,25 +96,6 @@ def _ask(field: NeuralField, points_m: np.ndarray, *, colors: bool) -> np.ndarra
         points, _ = field.normalise(part_m.to(field.table.device))
         answers.append((field(points)[1] if colors else field.sdf(points)).cpu())
     return torch.cat(answers).numpy()
-
-
-def write_ply(path: Path, mesh: Mesh) -> None:
-    """Write a mesh as binary PLY, whole or not at all."""
-    if not len(mesh.vertices_m):
-        raise ProgroundError(
-            "the map has no surface to export",
-            where=path,
-            todo="map more frames, or frames with depth within the bounds",
-        )
-    shape = trimesh.Trimesh(
-        vertices=mesh.vertices_m,
-        faces=mesh.faces,
-        vertex_normals=mesh.normals,
-        vertex_colors=mesh.colors,
-        process=False,
-    )
-    with written_whole(path) as temporary, temporary.open("wb") as stream:
-        shape.export(stream, file_type="ply")
 
 
 def read_ply_vertices(content: bytes) -> np.ndarray:

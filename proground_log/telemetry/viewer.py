@@ -38,7 +38,8 @@ def view(paths: Sequence[Path], *, web: bool = False) -> None:
         ProgroundError: a path is neither, or rerun cannot be started.
     """
     with _recordings(paths) as recordings:
-        mode = ["--web-viewer"] if web else []
+        # Its own port for pages is fixed: a second viewer would not start beside the first.
+        mode = ["--web-viewer", "--web-viewer-port", "0"] if web else []
         command = _command(*mode, "--port", "auto", *map(str, recordings))
         try:
             result = subprocess.run(command, check=False)

@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import numpy as np
 import pytest
 import torch
 
 from proground_log.bounds import Bounds
-from proground_log.errors import ProgroundError
 from proground_log.field.config import FieldConfig
 from proground_log.field.neural_field import NeuralField
 from proground_log.mapping.map_file import NeuralMap
 from proground_log.mapping.observed import ObservedSurface
-from proground_log.query.surface import extract_mesh, read_ply_vertices, write_ply
-from tests.mapping.test_online_mapper import mapped
+from proground_log.query.surface import extract_mesh
 
 BOUNDS = Bounds((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
 
 
 @pytest.mark.parametrize("seen", [0, 1])
-def test_a_map_without_a_surface_has_no_mesh(seen: int, tmp_path: Path) -> None:
+def test_a_map_without_a_surface_has_no_mesh(seen: int) -> None:
     observed = ObservedSurface(BOUNDS)
     observed.voxels[:seen, :seen, :seen] = True
     field = NeuralField(FieldConfig(log2_rows=10, levels=2), BOUNDS, seed=0)
@@ -29,14 +24,3 @@ def test_a_map_without_a_surface_has_no_mesh(seen: int, tmp_path: Path) -> None:
         field.decoders.geometry_out.zero_()
     mesh = extract_mesh(NeuralMap(field, observed), 0.3)
     assert len(mesh.vertices_m) == len(mesh.faces) == 0
-    with pytest.raises(ProgroundError, match="no surface"):
-        write_ply(tmp_path / "mesh.ply", mesh)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_written_mesh_reads_back(tmp_path: Path) -> None:
-    mapper = mapped(frames=2)
-    mesh = extract_mesh(NeuralMap(mapper.averaged, mapper.observed), 0.05)
-    write_ply(tmp_path / "mesh.ply", mesh)
-    vertices_m = read_ply_vertices((tmp_path / "mesh.ply").read_bytes())
-    np.testing.assert_allclose(vertices_m, mesh.vertices_m, atol=1e-6)

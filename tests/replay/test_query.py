@@ -30,7 +30,7 @@ from proground_log.perception.image_encoder import SIDE, pixel_values
 from proground_log.perception.perceive import perceive
 from proground_log.perception.simulated import SimulatedPerception
 from proground_log.perception.task import Task
-from proground_log.query.grounding import MARGIN
+from proground_log.query.grounding import MARGIN, vertex_logits
 from proground_log.query.surface import Mesh
 from proground_log.regions import EMBEDDING_WIDTH
 from proground_log.streams import stream
@@ -40,6 +40,7 @@ from replay.evaluate import Texts
 from replay.manifest import Manifest
 from replay.query import (
     LEAST_AREA_M2,
+    NOT_MARGIN,
     Answer,
     ImageQuery,
     background_crops,
@@ -343,3 +344,53 @@ def test_the_recording_has_a_mesh_and_boxes_for_each_query(
     assert not differ[(bed.scores == 0) & (toilet.scores == 0)].any()
     with pytest.raises(ProgroundError, match="--overwrite"):
         query_command(run, ("bed",), rrd=path)
+
+
+def test_colours_negatives_and_relations_only_take_things_away(run: Path) -> None:
+    (sofa,) = [thing for thing in RoomSource(frames=1).objects if thing.class_name == "sofa"]
+    color = sofa.color_name
+    other = next(name for name in ("green", "purple") if name != color)
+    names = [
+        *("sofa", f"{color} sofa", f"{other} sofa", "sofa, not bed", "sofa, not couch"),
+        *("sofa near table", "sofa near bed", "sofa on bed"),
+    ]
+    mesh, answers = query_run(run, names, VOXEL_M, 99)
+    plain, colored, miscolored, negative, nothing, near, far, on = answers
+    best = max(plain.things, key=len)
+
+    def has_best(answer: Answer) -> bool:
+        return any(np.array_equal(thing.vertices, best.vertices) for thing in answer.things)
+
+    assert has_best(colored)
+    assert not has_best(miscolored)
+    assert has_best(near)
+    assert not has_best(on)
+    assert len(far.things) <= len(plain.things)
+    np.testing.assert_array_equal(colored.scores, plain.scores)
+    # A negative keeps just the vertices that it fits less by the margin.
+    content = load_map(RunFolder(run).map)
+    semantics = content.semantics_at(mesh.vertices_m)
+    heads = content.semantics.description.heads  # type: ignore[union-attr]
+    texts = BuiltinTexts().embed(["sofa", "bed", "couch"])
+    logits = vertex_logits(semantics.embeddings, semantics.scale_logits, heads, texts)
+    for answer, column in ((negative, 1), (nothing, 2)):
+        lead = logits[:, 0] - logits[:, column]
+        sure = np.abs(lead - NOT_MARGIN) > 1e-3
+        expected = np.where(lead >= NOT_MARGIN, plain.scores, 0)
+        np.testing.assert_allclose(answer.scores[sure], expected[sure], atol=1e-5)
+        assert 0 < (answer.scores > 0).sum() < (plain.scores > 0).sum()
+
+
+def test_a_query_outside_the_task_says_so(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _, (sofa, couch) = query_run(run, ["sofa", "sofa, not couch"], VOXEL_M, 5)
+    assert sofa.notes == ()
+    (note,) = couch.notes
+    assert note.startswith("'couch' is none of the task's prompts")
+    query_command(run, ("couch",), voxel_m=VOXEL_M, as_json=True)
+    (answer,) = json.loads(capsys.readouterr().out)
+    assert answer["notes"] == [note]
+    query_command(run, ("couch",), voxel_m=VOXEL_M)
+    assert "couch: 'couch' is none of the task's prompts" in capsys.readouterr().out
+    _, (lost,) = query_run(run, ["sofa on toilet"], VOXEL_M, 5)
+    assert lost.things == ()
+    assert any("'toilet'" in note and "to be on" in note for note in lost.notes)

@@ -1,0 +1,268 @@
+"""Logs and runs from Python: what the commands do, as objects and arrays.
+
+    import proground_log as pg
+
+    log = pg.open_log("room.mcap")
+    run = pg.open_run("run")
+
+What comes back are the library's own records, described where they are defined. Nothing is written;
+errors that a user can mend are `proground_log.errors.ProgroundError`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from proground_log.locations import located
+
+if TYPE_CHECKING:
+    from proground_log.camera import Camera
+    from proground_log.field.view import RenderedView
+    from proground_log.log.reader import LogReader
+    from proground_log.mapping.map_file import NeuralMap
+    from proground_log.navigation.floor_plan import Robot
+    from proground_log.query.objects import SceneObject
+    from proground_log.query.surface import Mesh
+    from replay.manifest import Manifest
+    from replay.navigate import Journey
+    from replay.objects import Surface
+    from replay.query import Answer
+
+
+def open_log(path: str | Path) -> LogReader:
+    """Open a log (.mcap), here or behind a URL.
+
+    Of the reader one wants `len(log)`, `log.frames()`, `log.calibration`, `log.label_names`,
+    `log.recording` (source, format, bounds) and `log.task`.
+
+    Raises:
+        ProgroundError: it is no log, or is damaged.
+    """
+    from proground_log.log.reader import LogReader
+
+    return LogReader(located(str(path)))
+
+
+def open_run(path: str | Path, *, log: str | Path | None = None) -> Run:
+    """Open the folder of a finished run.
+
+    Args:
+        path: the folder.
+        log: the run's log, where it has moved.
+
+    Raises:
+        ProgroundError: there is no finished run.
+    """
+    from replay.run_folder import RunFolder
+
+    folder = RunFolder(Path(path)).require_finished()
+    return Run(folder.path, None if log is None else located(str(log)))
+
+
+class Run:
+    """A finished run; made by `open_run`. What is read of it, is read once, when it is needed.
+
+    Args:
+        path: its folder.
+        log_path: its log, or None where it is where the run found it.
+    """
+
+    def __init__(self, path: Path, log_path: Path | None = None) -> None:
+        from replay.run_folder import RunFolder
+
+        self.path = path
+        self._folder, self._log_path = RunFolder(path), log_path
+        self._surface: Surface | None = None
+
+    @cached_property
+    def manifest(self) -> Manifest:
+        """What made the run (`manifest.config`) and its summary (`manifest.result`)."""
+        from replay.manifest import Manifest
+
+        return Manifest.read(self._folder.manifest)
+
+    @cached_property
+    def log(self) -> LogReader:
+        """The log that the run was made of; raises a ProgroundError where it is another."""
+        from replay.manifest import open_log_of
+
+        return open_log_of(self.manifest, self._log_path)
+
+    @cached_property
+    def map(self) -> NeuralMap:
+        """The map."""
+        from proground_log.mapping.map_file import load_map
+
+        return load_map(self._folder.map)
+
+    @property
+    def prompts(self) -> tuple[str, ...]:
+        """What the run's task looked for; nothing where its log had no regions."""
+        semantics = self.map.semantics
+        return () if semantics is None else semantics.description.task.all_prompts
+
+    def events(self, kind: str | None = None) -> Iterator[dict[str, Any]]:
+        """The entries of the ledger in their order.
+
+        Args:
+            kind: only these: "frame", "dropped", "scheduled", "keyframe", "step", "done", ...
+
+        Raises:
+            ProgroundError: the ledger was changed.
+        """
+        from replay.ledger import read_ledger
+
+        for entry in read_ledger(self._folder.ledger):
+            if kind is None or entry["event"] == kind:
+                yield entry
+
+    @cached_property
+    def losses(self) -> dict[str, np.ndarray]:
+        """The loss of each step, by term: float32 [S], nan where a step had no such term.
+
+        Terms are unweighted, but "total" is the weighted sum. "step" and "frame" are int64 [S],
+        the step's number and that of the newest frame; "sim_time_ns" is simulated time.
+        """
+        from replay.ledger import bits_float
+
+        steps = list(self.events("step"))
+        terms = dict.fromkeys(name for step in steps for name in step["losses"])
+        numbers = {
+            name: np.array([step[name] for step in steps], np.int64)
+            for name in ("step", "frame", "sim_time_ns")
+        }
+        nothing = "7fc00000"
+        return numbers | {
+            name: np.array(
+                [bits_float(step["losses"].get(name, nothing)) for step in steps], np.float32
+            )
+            for name in terms
+        }
+
+    def render(self, world_from_camera: np.ndarray, camera: Camera | None = None) -> RenderedView:
+        """The map as a camera would see it.
+
+        Args:
+            world_from_camera: pose, [4, 4]; camera axes x right, y down, z forward.
+            camera: without distortion; None for the depth camera of the run's log.
+
+        Returns:
+            `color` uint8 [H, W, 3] RGB and `depth_m` float32 [H, W], 0 where there is nothing.
+
+        Raises:
+            ProgroundError: the pose is not rigid, or the log is needed and not there.
+        """
+        from proground_log.camera import require_rigid
+
+        pose = require_rigid(world_from_camera, where="world_from_camera")
+        return self.map.render(camera or self.log.calibration.depth.pinhole(), pose)
+
+    def mesh(self, voxel_m: float = 0.02) -> Mesh:
+        """The surface as triangles: `vertices_m`, `faces`, `normals` and `colors`.
+
+        Args:
+            voxel_m: distance between the points at which the field is asked.
+
+        Raises:
+            ProgroundError: the map has no surface.
+        """
+        from replay.objects import require_voxels, surface_of
+
+        if self._surface is not None and self._surface.voxel_m == voxel_m:
+            return self._surface.mesh
+        require_voxels(voxel_m)
+        # What is up does not matter here, so that the log need not be there.
+        return surface_of(self.map, voxel_m, None, self.path).mesh
+
+    def surface(self, voxel_m: float = 0.03) -> Surface:
+        """The surface with what is up; of a map with meaning it can be asked (`ask`, `objects`).
+
+        The one that was made last is kept. Arguments and errors as for `mesh`; besides it is an
+        error if the log is another.
+        """
+        from replay.objects import require_voxels, surface_of
+
+        require_voxels(voxel_m)
+        if self._surface is None or self._surface.voxel_m != voxel_m:
+            self._surface = surface_of(self.map, voxel_m, self._log_if_there, self.path)
+        return self._surface
+
+    def objects(self, voxel_m: float = 0.03) -> list[SceneObject]:
+        """What stands there: of each object its `label`, `instance` (position, score, vertices of
+        `mesh(voxel_m)`), `box` and `views`, the frames that saw it (None without the log).
+
+        Raises:
+            ProgroundError: the map knows no meaning or has no surface, or the log is another.
+        """
+        from replay.objects import counted_views, require_meaning
+
+        require_meaning(self.map, self.path)
+        surface = self.surface(voxel_m)
+        objects, log = surface.objects(), self._log_if_there
+        return objects if log is None else counted_views(objects, surface.mesh, log)
+
+    def query(
+        self,
+        text: str,
+        *,
+        voxel_m: float = 0.04,
+        top_k: int = 5,
+        vocabulary: Path | None = None,
+        text_encoder: Path | None = None,
+    ) -> Answer:
+        """Where something is: `things` (best first), their `boxes`, and `scores` of all vertices.
+
+        Args:
+            text: what to look for, such as "red chair", "chair, not sofa" or "cup on table".
+            voxel_m: voxels of the surface that is asked.
+            top_k: most things to find.
+            vocabulary: embeddings of texts that are none of the task's prompts (.npz).
+            text_encoder: computes the embeddings of such texts (.onnx).
+
+        Raises:
+            ProgroundError: the map knows no meaning, or nobody knows the text.
+        """
+        from replay.evaluate import Texts
+        from replay.query import query_run
+
+        texts = Texts(vocabulary, text_encoder)
+        _, (answer,) = query_run(
+            self.path, [text], voxel_m, top_k, texts=texts, log_path=self._log_path
+        )
+        return answer
+
+    def navigate(
+        self,
+        start: tuple[float, float],
+        goal: str | tuple[float, float],
+        *,
+        robot: Robot | None = None,
+        voxel_m: float = 0.04,
+    ) -> Journey:
+        """A way across the floor that a robot can drive: `route`, the floor's `plan`, and more.
+
+        Args:
+            start: x and y of the floor plan, metres.
+            goal: such a place, or what to look for.
+            robot: what drives; None for `Robot()`.
+            voxel_m: voxels of the mesh that the floor plan is drawn of.
+
+        Raises:
+            ProgroundError: there is no such way, floor or thing; it says why.
+        """
+        from proground_log.navigation.floor_plan import Robot
+        from replay.navigate import navigate_run
+
+        robot = robot or Robot()
+        return navigate_run(self.path, start, goal, robot, voxel_m, log_path=self._log_path)
+
+    @cached_property
+    def _log_if_there(self) -> LogReader | None:
+        from replay.objects import log_if_there
+
+        return log_if_there(self._folder, self._log_path)

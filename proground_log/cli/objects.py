@@ -1,0 +1,64 @@
+"""The command that lists what is in a map: objects."""
+
+from __future__ import annotations
+
+import json
+import math
+
+from rich.table import Column, Table
+
+from proground_log.cli.common import SAME, AsJson, MaybePath, Run, err, out
+
+
+def objects_command(
+    run: Run,
+    *,
+    voxel_m: float = 0.03,
+    as_json: AsJson = False,
+    csv: MaybePath = None,
+    overwrite: bool = False,
+    log: MaybePath = None,
+) -> int:
+    """List the objects in a map: what they are, where, how large, how sure, how often seen.
+
+    Args:
+        run: folder of a finished run, of a log with regions.
+        voxel_m: voxels of the surface that is asked.
+        as_json: print JSON, for programs.
+        csv: a table to write (.csv).
+        overwrite: replace that table.
+        log: the run's log, where it has moved; it says what is up and how often things were seen.
+    """
+    from proground_log.files import require_free
+    from replay.objects import object_rows, objects_of_run, write_objects_csv
+
+    if csv is not None:
+        require_free(csv, overwrite=overwrite)
+    with err.status("asking the map"):
+        objects = objects_of_run(run, voxel_m, log)
+    if csv is not None:
+        write_objects_csv(csv, objects)
+    if as_json:
+        print(json.dumps(object_rows(objects), indent=2))
+        return SAME
+    table = Table(
+        Column("", justify="right"),
+        Column("object", overflow="fold"),
+        *(Column(name, justify="right") for name in ("position m", "extent m", "yaw", "score")),
+        Column("views", justify="right"),
+    )
+    for number, thing in enumerate(objects, start=1):
+        table.add_row(
+            str(number),
+            thing.label,
+            "  ".join(f"{value:.2f}" for value in thing.instance.position_m + 0.0),
+            " x ".join(f"{value:.2f}" for value in thing.box.extent_m),
+            f"{math.degrees(thing.box.yaw_rad):.0f}°",
+            f"{thing.instance.score:.2f}",
+            "" if thing.views is None else str(thing.views),
+        )
+    if objects:
+        out.print(table)
+    else:
+        print("no object of the task's prompts is in the map")
+    return SAME

@@ -1,0 +1,1 @@
+"""A map in the files of other tools: a file a format."""

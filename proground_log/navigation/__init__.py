@@ -1,0 +1,1 @@
+"""From a map to ways across its floor: free space, Voronoi graph, planner (paper, Sec. 5.3)."""

@@ -1,0 +1,192 @@
+"""Finding a way across a finished run's floor: to a place, or to a thing that a text names."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import networkx as nx
+import numpy as np
+
+from proground_log.errors import ProgroundError
+from proground_log.events import MeshExtracted
+from proground_log.locations import located
+from proground_log.log.reader import LogReader
+from proground_log.log.upright import levelled, up_direction
+from proground_log.mapping.map_file import load_map
+from proground_log.navigation.floor_plan import FloorPlan, Robot, draw_floor_plan
+from proground_log.navigation.picture import Sight
+from proground_log.navigation.planner import Planner, Route
+from proground_log.navigation.voronoi import Cell
+from proground_log.query.instances import Instance
+from proground_log.query.surface import Mesh, extract_mesh
+from proground_log.telemetry.path_recording import PathDrawing, write_path_recording
+from replay.evaluate import Texts
+from replay.manifest import Manifest, file_sha256
+from replay.query import Answer, query_run
+from replay.run_folder import RunFolder
+
+POSES = 100
+"""So many of the camera's poses say which way is up."""
+MOST_THINGS = 10
+"""A text may name several things: so many are tried, best first."""
+
+Place = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Journey:
+    """A way, and what it was found on.
+
+    Args:
+        goal: the text or the place.
+        route: the way.
+        plan: the floor.
+        graph: the Voronoi graph for the robot.
+        mesh: the map's surface.
+        robot: who drives.
+        thing: what the text found, or None for a place.
+        rank: which of the things found it is, from 1; better ones cannot be reached.
+    """
+
+    goal: str | Place
+    route: Route
+    plan: FloorPlan
+    graph: nx.MultiGraph[Cell]
+    mesh: Mesh
+    robot: Robot
+    thing: Instance | None = None
+    rank: int = 1
+
+    @property
+    def name(self) -> str:
+        """The goal in words."""
+        return self.goal if isinstance(self.goal, str) else "{:.2f}, {:.2f}".format(*self.goal)
+
+
+def navigate_run(
+    run_path: Path,
+    start: Place,
+    goal: str | Place,
+    robot: Robot,
+    voxel_m: float,
+    *,
+    texts: Texts = Texts(),
+    log_path: Path | None = None,
+) -> Journey:
+    """Find a way on the map of a run.
+
+    Args:
+        run_path: folder of a finished run.
+        start: where the robot is: x and y of the floor plan, metres.
+        goal: where to: such a place, or what to look for; then the log must have had regions.
+        robot: what drives.
+        voxel_m: voxels of the mesh that the floor plan is drawn of.
+        texts: embeddings of texts that the map does not know.
+        log_path: the run's log, or None where it is where the run found it. Its cameras say which
+            way is up; without it z is.
+
+    Raises:
+        ProgroundError: the run has no floor, nobody knows the text or nothing like it is there, or
+            there is no way; it says why, and the nearest place that can be reached.
+    """
+    if not voxel_m > 0:
+        raise ProgroundError(
+            f"the voxels are {voxel_m} m", where="navigate", todo="choose more than 0"
+        )
+    run = RunFolder(run_path).require_finished()
+    answer: Answer | None = None
+    if isinstance(goal, str):
+        mesh, (answer,) = query_run(run_path, [goal], voxel_m, MOST_THINGS, texts=texts)
+        if not answer.things:
+            raise ProgroundError(
+                f"nothing like {goal!r} was found",
+                where=run_path,
+                todo=f"see `pglog query {run_path} {goal!r}`, or give a place: --to X,Y",
+            )
+    else:
+        mesh = extract_mesh(load_map(run.map), voxel_m)
+    log_path = log_path or located(Manifest.read(run.manifest).log_path)
+    up = levelled(_up(log_path), mesh.normals.astype(np.float64))
+    plan = draw_floor_plan(mesh.vertices_m, mesh.faces, up, robot)
+    planner = Planner(plan, np.array(start), robot.radius_m)
+    if answer is None:
+        route = planner.to_place(np.array(goal, np.float64))
+        return Journey(goal, route, plan, planner.graph, mesh, robot)
+    route, rank = _to_first(planner, mesh, answer)
+    thing = answer.things[rank - 1]
+    return Journey(goal, route, plan, planner.graph, mesh, robot, thing, rank)
+
+
+def footprint(plan: FloorPlan, mesh: Mesh, thing: Instance) -> np.ndarray:
+    """A thing's vertices within its extent, seen from above, [N, 2]."""
+    points_m = mesh.vertices_m[thing.vertices].astype(np.float64)
+    # A few lie outside: strays, to which nobody wants to drive.
+    inside = ((points_m >= thing.lower_m) & (points_m <= thing.upper_m)).all(axis=1)
+    return plan.ground.plan(points_m[inside] if inside.any() else thing.position_m[None])
+
+
+def sight(journey: Journey) -> Sight | None:
+    """The thing that a journey leads to as a floor plan shows it, if it leads to one."""
+    if journey.thing is None:
+        return None
+    places_m = footprint(journey.plan, journey.mesh, journey.thing)
+    (left, low), (right, high) = places_m.min(axis=0), places_m.max(axis=0)
+    corners_m = np.array([(left, low), (right, low), (right, high), (left, high)])
+    return Sight(journey.name, corners_m)
+
+
+def draw_journey(path: Path, run_path: Path, journey: Journey) -> None:
+    """Write a rerun recording of a way, in which the robot drives.
+
+    Args:
+        path: the .rrd file, replaced if it is there.
+        run_path: folder of the run.
+        journey: as `navigate_run` gives it.
+    """
+    plan, route, mesh = journey.plan, journey.route, journey.mesh
+    lines = [edge["cells"] for _, _, edge in journey.graph.edges(data=True)]
+    thing = journey.thing
+    x_m, y_m = route.corners_m[0]
+    write_path_recording(
+        path,
+        f"{file_sha256(RunFolder(run_path).map)[:16]}: {x_m:.3f}, {y_m:.3f} to {journey.name}",
+        MeshExtracted(0, mesh.vertices_m, mesh.faces, mesh.normals, mesh.colors),
+        PathDrawing(
+            name=journey.name,
+            up=plan.ground.plan_from_world[2],
+            points_m=plan.ground.world(route.points_m),
+            heading=plan.ground.plan_from_world[:2].T
+            @ (np.cos(route.heading_rad), np.sin(route.heading_rad)),
+            radius_m=journey.robot.radius_m,
+            height_m=journey.robot.height_m,
+            graph_m=[plan.ground.world(plan.centres(cells)) for cells in lines],
+            free_m=plan.ground.world(plan.centres(np.argwhere(plan.clearance_m > 0))),
+            free_clearance_m=plan.clearance_m[plan.clearance_m > 0],
+            cell_m=plan.cell_m,
+            box_m=None if thing is None else np.stack([thing.lower_m, thing.upper_m]),
+        ),
+    )
+
+
+def _up(log_path: Path) -> np.ndarray:
+    """About the upward direction of a log's world [3]."""
+    if not log_path.is_file():
+        return np.array([0.0, 0.0, 1.0])
+    reader = LogReader(log_path)
+    chosen = np.unique(np.linspace(0, len(reader) - 1, POSES).round().astype(int)).tolist()
+    return up_direction(np.array([frame.world_from_camera for frame in reader.frames(chosen)]))
+
+
+def _to_first(planner: Planner, mesh: Mesh, answer: Answer) -> tuple[Route, int]:
+    """A way to the best of the things that can be reached, and its rank."""
+    faults: list[ProgroundError] = []
+    things: Sequence[Instance] = answer.things
+    for rank, thing in enumerate(things, start=1):
+        try:
+            place_m = footprint(planner.plan, mesh, thing)
+            return planner.to_thing(place_m, answer.query), rank
+        except ProgroundError as fault:
+            faults.append(fault)
+    raise faults[0]

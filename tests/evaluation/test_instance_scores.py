@@ -1,0 +1,98 @@
+"""Precision, recall and F1 of objects: on rows of points whose overlaps one can count."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from proground_log.evaluation.instance_scores import InstanceScores, score_instances
+from proground_log.streams import stream
+
+ROW_M = np.stack([np.arange(40) * 0.2, np.zeros(40), np.zeros(40)], axis=1)
+
+
+def score(
+    truth: list[int], classes: list[str], objects: list[int], names: list[str]
+) -> InstanceScores:
+    pad = [-1] * 40
+    true, found = np.array((truth + pad)[:40]), np.array((objects + pad)[:40])
+    return score_instances(ROW_M, true, classes, ROW_M + np.array([0.03, 0, 0]), found, names)
+
+
+def test_the_truth_itself_is_perfect() -> None:
+    truth = [0] * 5 + [1] * 7 + [-1] * 3 + [2] * 4
+    scores = score(truth, ["cup", "cup", "sofa"], truth, ["cup", "cup", "sofa"])
+    for iou in (0.25, 0.5):
+        assert scores.total.precision(iou) == scores.total.recall(iou) == scores.total.f1(iou) == 1
+        assert scores.macro_f1(iou) == 1
+
+
+def test_half_an_object_counts_at_a_quarter_and_not_at_a_half() -> None:
+    scores = score([0] * 10, ["cup"], [0] * 4, ["cup"])
+    assert scores.total.matched == {0.25: 1, 0.5: 0}
+    scores = score([0] * 10, ["cup"], [0] * 5, ["cup"])
+    assert scores.total.matched == {0.25: 1, 0.5: 1}
+
+
+def test_merged_things_split_things_and_wrong_names_cost() -> None:
+    merged = score([0] * 6 + [1] * 6, ["chair", "chair"], [0] * 12, ["chair"])
+    assert (merged.total.precision(0.5), merged.total.recall(0.5)) == (1, 0.5)
+    split = score([0] * 12, ["chair"], [0] * 8 + [1] * 4, ["chair", "chair"])
+    assert (split.total.precision(0.5), split.total.recall(0.5)) == (0.5, 1)
+    assert split.total.f1(0.5) == pytest.approx(2 / 3)
+    wrong = score([0] * 12, ["chair"], [0] * 12, ["sofa"])
+    assert wrong.total.f1(0.25) == 0
+    assert (wrong.classes["chair"].found, wrong.classes["sofa"].found) == (0, 1)
+
+
+def test_the_better_of_two_claims_wins_whatever_their_order() -> None:
+    for names in ([0, 1], [1, 0]):
+        found = [names[0]] * 3 + [names[1]] * 7
+        scores = score([0] * 10, ["cup"], found, ["cup", "cup"])
+        assert scores.total.matched == {0.25: 1, 0.5: 1}
+
+
+def test_vertices_out_of_reach_are_of_no_object() -> None:
+    truth = np.zeros(40, int)
+    for shift_m, matched in ((0.049, 1), (0.051, 0)):
+        moved_m = ROW_M + np.array([0, shift_m, 0])
+        scores = score_instances(ROW_M, truth, ["cup"], moved_m, truth.copy(), ["cup"])
+        assert scores.total.matched[0.5] == matched
+        assert (scores.total.true, scores.total.found) == (1, 1)
+
+
+def test_nothing_found_is_zero_and_macro_weighs_classes_alike() -> None:
+    nothing = score([0] * 10, ["cup"], [], [])
+    assert (nothing.total.precision(0.5), nothing.total.f1(0.5)) == (0, 0)
+    truth = [0] * 3 + [1] * 3 + [2] * 3 + [3] * 3
+    scores = score(truth, ["book", "book", "book", "sofa"], [-1] * 9 + [0] * 3, ["sofa"])
+    assert scores.total.f1(0.5) == pytest.approx(2 / 5)
+    assert scores.macro_f1(0.5) == 0.5
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10**6), kinds=st.integers(1, 3))
+def test_matches_are_those_of_the_definition(seed: int, kinds: int) -> None:
+    draw = stream(seed, "instances")
+    true, found = (draw.integers(-1, 4, 40) for _ in range(2))
+    true_names = [f"class {kind}" for kind in draw.integers(0, kinds, 4)]
+    names = [f"class {kind}" for kind in draw.integers(0, kinds, 4)]
+    overlap = []
+    for t in range(4):
+        for f in range(4):
+            union = np.count_nonzero((true == t) | (found == f))
+            shared = np.count_nonzero((true == t) & (found == f))
+            if shared and true_names[t] == names[f]:
+                overlap.append((-shared / union, t, f))
+    free_t, free_f, ious = set(range(4)), set(range(4)), []
+    for iou, t, f in sorted(overlap):
+        if t in free_t and f in free_f:
+            free_t.remove(t)
+            free_f.remove(f)
+            ious.append(-iou)
+    scores = score(true.tolist(), true_names, found.tolist(), names)
+    assert scores.total.matched == {x: sum(iou >= x for iou in ious) for x in (0.25, 0.5)}
+    for iou in (0.25, 0.5):
+        assert sum(c.matched[iou] for c in scores.classes.values()) == scores.total.matched[iou]
