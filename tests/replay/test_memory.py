@@ -31,6 +31,7 @@ class Wall:
     calibration: Calibration = field(default_factory=lambda: Calibration.registered(CAMERA))
     label_names: dict[int, str] = field(default_factory=dict)
     notes: dict[str, str] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return 10**6
