@@ -19,7 +19,7 @@ from recorders.record import record
 from recorders.registry import open_source
 
 KITCHEN = SHARED_DATA / "7scenes_redkitchen" / "seq-01"
-FRAMES = 100
+FRAMES = 250
 
 
 def measure() -> list[Row]:

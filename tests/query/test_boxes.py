@@ -85,7 +85,10 @@ def test_overlap_and_gap_are_those_of_sampled_points(yaws: tuple[float, float], 
     inside = draw.uniform(-0.5, 0.5, (40000, 3)) * first.extent_m @ first.axes + first.centre_m
     share = contains(second, inside).mean()
     assert shared_volume_m3(first, second) == pytest.approx(share * first.volume_m3, abs=0.01)
-    assert shared_volume_m3(first, second) == pytest.approx(shared_volume_m3(second, first))
+    # OpenCV cuts the plans with 32-bit floats.
+    assert shared_volume_m3(first, second) == pytest.approx(
+        shared_volume_m3(second, first), abs=1e-4
+    )
     assert shared_plan_m2(first, second) == pytest.approx(shared_plan_m2(second, first), abs=1e-4)
     # The distance from a point to a box is exact; that of boxes is its least over the surface.
     faces = grid((1.0, 1.0, 1.0)) * first.extent_m @ first.axes + first.centre_m

@@ -52,7 +52,9 @@ def test_color_keeps_its_bytes(tmp_path: Path, suffix: str, kind: str, padding: 
 
 
 @pytest.mark.parametrize("suffix", [".jpg", ".png", "exif"])
-@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(kept=st.floats(0, 1, exclude_max=True), zeros=st.booleans())
 def test_color_cut_anywhere_is_refused(
     tmp_path: Path, suffix: str, kept: float, zeros: bool
