@@ -35,9 +35,8 @@ class Format:
 
     def recognise(self, source: Path) -> str | None:
         """Why a path looks like this format, in a few words, or None; opens nothing large."""
-        ask = getattr(import_module(self.module), "recognise", None)
         try:
-            return cast(str | None, ask(source)) if ask is not None else None
+            return cast(str | None, import_module(self.module).recognise(source))
         except OSError:
             return None  # What may not be looked into cannot be recognised.
 

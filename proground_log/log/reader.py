@@ -44,7 +44,7 @@ DAMAGE = (
 """What the libraries raise on bytes that are not as they were written; the last two where a
 length became absurd."""
 
-_TODO = "copy or record it again, or save its whole frames with `pglog recover`"
+_REMEDY = "copy or record it again, or save its whole frames with `pglog recover`"
 
 _FOOTER = struct.Struct("<BQQQI")
 """Opcode, length, start of the summary, start of its offsets, checksum."""
@@ -128,7 +128,7 @@ class LogReader:
             raise ProgroundError(
                 f"the file is damaged ({what or type(error).__name__})",
                 where=self.path,
-                todo=_TODO,
+                todo=_REMEDY,
             ) from error
 
     @cached_property
@@ -233,7 +233,7 @@ def _require_whole_summary(stream: BinaryIO, path: Path) -> None:
     if last != MCAP0_MAGIC:
         is_partial = path.suffix == PARTIAL
         what = "the recording was stopped before its end" if is_partial else "the file is cut off"
-        raise ProgroundError(what, where=path, todo=_TODO)
+        raise ProgroundError(what, where=path, todo=_REMEDY)
     *_, start, _, checksum = _FOOTER.unpack(footer)
     # The length of the record that ends the data, the one number that no checksum covers.
     stream.seek(max(0, min(start, end) - _LENGTH.size - _CHECKSUM_BYTES))
@@ -241,7 +241,7 @@ def _require_whole_summary(stream: BinaryIO, path: Path) -> None:
         raise ProgroundError(
             "the file is damaged: its data do not end as they should",
             where=path,
-            todo=_TODO,
+            todo=_REMEDY,
         )
     stream.seek(min(start, end))
     covered = stream.read(max(0, end - start - magic - 4))
@@ -249,7 +249,7 @@ def _require_whole_summary(stream: BinaryIO, path: Path) -> None:
         raise ProgroundError(
             "the file is damaged: the checksum of its index does not hold",
             where=path,
-            todo=_TODO,
+            todo=_REMEDY,
         )
 
 

@@ -26,7 +26,7 @@ FLOAT_BYTES, UINT_BYTES = 4 * WIDTH * HEIGHT, 2 * WIDTH * HEIGHT
 LARGEST_RECORD_BYTES = 2 * FLOAT_BYTES
 """What does not compress grows, but never to this."""
 READ_BYTES = 2**18
-TODO = "copy the file from the data set again"
+REMEDY = "copy the file from the data set again"
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def open_depth(path: Path) -> DepthStream:
         next(_inflated(path))
     except (ProgroundError, StopIteration) as error:
         raise ProgroundError(
-            "holds depth in neither coding of ScanNet++", where=path, todo=TODO
+            "holds depth in neither coding of ScanNet++", where=path, todo=REMEDY
         ) from error
     # Decoded in passing, a frame at a time: unpacked, the file would fill tens of gigabytes.
     return DepthStream(ForwardImages(partial(_inflated, path), path).at, None)
@@ -102,7 +102,7 @@ def _read_record(path: Path, places: list[tuple[int, int]], number: int) -> np.n
         pixels = b""
     if len(pixels) != FLOAT_BYTES:
         raise ProgroundError(
-            "the depth image cannot be decoded", where=f"{path}, frame {number}", todo=TODO
+            "the depth image cannot be decoded", where=f"{path}, frame {number}", todo=REMEDY
         )
     return _metres(pixels)
 
@@ -114,7 +114,7 @@ def _inflated(path: Path) -> Images:
             raise ProgroundError(
                 "the depth stream is broken or cut off here",
                 where=f"{path}, frame {number}",
-                todo=TODO,
+                todo=REMEDY,
             )
         yield partial(_metres, pixels)
 

@@ -12,7 +12,7 @@ import numpy as np
 from proground_log.errors import ProgroundError
 from recorders.reading.association import read_text
 
-TODO = "mend the file, or take it from the data set again"
+REMEDY = "mend the file, or take it from the data set again"
 
 
 def read_json(path: Path) -> Any:
@@ -29,7 +29,7 @@ def parse_json(text: str, *, where: object) -> Any:
     try:
         return json.loads(text, parse_float=Decimal)
     except (ValueError, ArithmeticError, RecursionError) as error:
-        raise ProgroundError(f"is not JSON ({error})", where=where, todo=TODO) from error
+        raise ProgroundError(f"is not JSON ({error})", where=where, todo=REMEDY) from error
 
 
 def numbers(value: object, shape: tuple[int, ...], *, what: str, where: object) -> np.ndarray:
@@ -50,4 +50,4 @@ def numbers(value: object, shape: tuple[int, ...], *, what: str, where: object) 
         return np.array(value, dtype=np.float64).reshape(shape)
     except (ValueError, TypeError, ArithmeticError) as error:
         size = " x ".join("any" if length < 0 else str(length) for length in shape)
-        raise ProgroundError(f"{what} is not {size} numbers", where=where, todo=TODO) from error
+        raise ProgroundError(f"{what} is not {size} numbers", where=where, todo=REMEDY) from error
