@@ -9,7 +9,11 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from benchmarks.rows import SHARED_DATA, Row
+from benchmarks.query import MESH_VOXEL_M
+from benchmarks.rows import SHARED_DATA, Row, median_seconds
+from proground_log.mapping.map_file import load_map
+from proground_log.query.surface import extract_mesh
+from replay.run_folder import RunFolder
 
 KITCHEN = SHARED_DATA / "7scenes_redkitchen" / "seq-01"
 HOUSE = SHARED_DATA / "aws_small_house_labelled"
@@ -42,16 +46,20 @@ def _quality(
         log, run = Path(folder, "log.mcap"), Path(folder, "run")
         pglog("record", format_name, str(source), "-o", str(log))
         pglog("replay", str(log), "-o", str(run), *PROTOCOL, *flags)
-        scores = json.loads(pglog("evaluate", str(run), "--json"))
+        scores = json.loads(pglog("evaluate", str(run), "--json"))["scores"]
         result = _result(run)
+        content = load_map(RunFolder(run).map)
+        (mesh_s,) = median_seconds(lambda: extract_mesh(content, MESH_VOXEL_M), rounds=1)
     seconds = result["machine s"]
     sinks_s = sum(seconds[stage] for stage in ("views", "telemetry", "ledger"))
     mapping_s, total_s = seconds["insert"] + seconds["step"], sum(seconds.values())
     rows = [
         Row(f"{name}: colour PSNR on held-out views", scores["psnr_db"], "dB", least=psnr_db),
+        Row(f"{name}: colour SSIM on held-out views", scores["ssim"], ""),
         Row(f"{name}: depth L1 on held-out views", scores["depth_l1_cm"], "cm", most=l1_cm),
         Row(f"{name}: depth that the map misses", scores["missed_percent"], "%"),
         Row(f"{name}: map", scores["map_mb"], "MB"),
+        Row(f"{name}: mesh of {100 * MESH_VOXEL_M:.0f} cm", mesh_s, "s", most=20),
         Row(
             f"{name}: mapping, a frame",
             1e3 * mapping_s / result["frames mapped"],

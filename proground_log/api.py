@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from proground_log.query.surface import Mesh
     from replay.manifest import Manifest
     from replay.navigate import Journey
-    from replay.objects import Surface
     from replay.query import Answer
+    from replay.surface import Surface
 
 
 def open_log(path: str | Path) -> LogReader:
@@ -171,13 +171,12 @@ class Run:
         Raises:
             ProgroundError: the map has no surface.
         """
-        from replay.objects import require_voxels, surface_of
+        from replay.surface import surface_of
 
         if self._surface is not None and self._surface.voxel_m == voxel_m:
             return self._surface.mesh
-        require_voxels(voxel_m)
         # What is up does not matter here, so that the log need not be there.
-        return surface_of(self.map, voxel_m, None, self.path).mesh
+        return surface_of(self._folder, self.map, voxel_m, None).mesh
 
     def surface(self, voxel_m: float = 0.03) -> Surface:
         """The surface with what is up; of a map with meaning it can be asked (`ask`, `objects`).
@@ -185,37 +184,35 @@ class Run:
         The one that was made last is kept. Arguments and errors as for `mesh`; besides it is an
         error if the log is another.
         """
-        from replay.objects import require_voxels, surface_of
+        from replay.surface import surface_of
 
-        require_voxels(voxel_m)
         if self._surface is None or self._surface.voxel_m != voxel_m:
-            self._surface = surface_of(self.map, voxel_m, self._log_if_there, self.path)
+            self._surface = surface_of(self._folder, self.map, voxel_m, self._log_if_there)
         return self._surface
 
     def objects(self, voxel_m: float = 0.03) -> list[SceneObject]:
         """What stands there: of each object its `label`, `instance` (position, score, vertices of
-        `mesh(voxel_m)`), `box` and `views`, the frames that saw it (None without the log).
+        `mesh(voxel_m)`), `box` and `views`: frames in which the detector found it (None where
+        no log has what it found).
 
         Raises:
             ProgroundError: the map knows no meaning or has no surface, or the log is another.
         """
-        from replay.objects import counted_views, require_meaning
+        from replay.surface import require_meaning
 
         require_meaning(self.map, self.path)
-        surface = self.surface(voxel_m)
-        objects, log = surface.objects(), self._log_if_there
-        return objects if log is None else counted_views(objects, surface.mesh, log)
+        return self.surface(voxel_m).objects
 
     def query(
         self,
         text: str,
         *,
-        voxel_m: float = 0.04,
+        voxel_m: float = 0.03,
         top_k: int = 5,
         vocabulary: Path | None = None,
         text_encoder: Path | None = None,
     ) -> Answer:
-        """Where something is: `things` (best first), their `boxes`, and `scores` of all vertices.
+        """Where something is: `things` (objects, best first), and `scores` of all vertices.
 
         Args:
             text: what to look for, such as "red chair", "chair, not sofa" or "cup on table".
@@ -228,12 +225,12 @@ class Run:
             ProgroundError: the map knows no meaning, or nobody knows the text.
         """
         from replay.evaluate import Texts
-        from replay.query import query_run
+        from replay.query import query_surface
+        from replay.surface import require_meaning
 
+        require_meaning(self.map, self.path)
         texts = Texts(vocabulary, text_encoder)
-        _, (answer,) = query_run(
-            self.path, [text], voxel_m, top_k, texts=texts, log_path=self._log_path
-        )
+        (answer,) = query_surface(self.surface(voxel_m), [text], top_k, texts=texts)
         return answer
 
     def navigate(
@@ -242,7 +239,7 @@ class Run:
         goal: str | tuple[float, float],
         *,
         robot: Robot | None = None,
-        voxel_m: float = 0.04,
+        voxel_m: float = 0.03,
     ) -> Journey:
         """A way across the floor that a robot can drive: `route`, the floor's `plan`, and more.
 
@@ -256,13 +253,15 @@ class Run:
             ProgroundError: there is no such way, floor or thing; it says why.
         """
         from proground_log.navigation.floor_plan import Robot
-        from replay.navigate import navigate_run
+        from replay.navigate import navigate_surface
+        from replay.surface import require_meaning
 
-        robot = robot or Robot()
-        return navigate_run(self.path, start, goal, robot, voxel_m, log_path=self._log_path)
+        if isinstance(goal, str):
+            require_meaning(self.map, self.path)
+        return navigate_surface(self.surface(voxel_m), start, goal, robot or Robot())
 
     @cached_property
     def _log_if_there(self) -> LogReader | None:
-        from replay.objects import log_if_there
+        from replay.surface import log_if_there
 
         return log_if_there(self._folder, self._log_path)

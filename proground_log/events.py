@@ -87,7 +87,7 @@ class FrameScheduled:
         idle_ns: how long the mapper had nothing to do before it.
         waiting: frames that waited when it was taken, itself not counted.
         steps: optimisation steps that it was given.
-        overrun_ns: what reading and inserting it took beyond the budget.
+        overrun_ns: what reading, perceiving and inserting it took beyond the budget.
         spans: begin and end of each stage that took place, by its name: decode, perceive, insert,
             step (all of them).
     """

@@ -33,6 +33,8 @@ def located(text: str) -> Path:
     try:
         # Some say only of a file that is not there, and raise when asked for a folder.
         _ = path.exists() or path.is_dir()
+    except ImportError as error:  # What one kind of store needs is asked for only now.
+        raise ProgroundError(f"URLs need more ({error})", where=text, todo=INSTALL) from error
     except Exception as error:  # Each kind of store has errors of its own.
         reason = str(error) or type(error).__name__
         todo = "check the URL, the network and your credentials"

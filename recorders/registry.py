@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import cast
 
 from proground_log.errors import ProgroundError
+from proground_log.locations import is_remote
 from recorders.source import Source
 
 
@@ -140,7 +141,7 @@ def open_source(name: str, source: Path | None = None, **options: object) -> Sou
         options: keyword arguments of the format's class, such as `calibration`.
 
     Raises:
-        ProgroundError: no such format or option, or the data set is at fault.
+        ProgroundError: no such format, option or data set, or the data set is at fault.
     """
     _known("format", name, (*FORMATS, AUTO), where=source or "record")
     if name == AUTO:
@@ -154,6 +155,9 @@ def open_source(name: str, source: Path | None = None, **options: object) -> Sou
         todo = chosen.description if chosen.takes_source else "leave the source out"
         what = "needs a source" if chosen.takes_source else f"has no use for {source}"
         raise ProgroundError(what, where=f"format {name}", todo=todo)
+    # A store may know files alone, and no folders: what a URL lacks, the format says.
+    if source is not None and not is_remote(source) and not source.exists():
+        raise ProgroundError("no such folder or file", where=source, todo="check the path")
     return opener(source, **options) if chosen.takes_source else opener(**options)
 
 

@@ -17,7 +17,7 @@ from proground_log.perception.map_texts import texts_for
 from proground_log.perception.texts import TextSpace
 from proground_log.query.surface import extract_mesh, read_ply_vertices
 from replay.config import ReplayConfig
-from replay.evaluate_objects import instance_scores, instance_table
+from replay.evaluate_objects import object_scores, object_table
 from replay.evaluate_semantics import (
     LabelledPoints,
     labelled_points_of_files,
@@ -26,8 +26,8 @@ from replay.evaluate_semantics import (
     semantic_scores,
 )
 from replay.manifest import Manifest, open_log_of
-from replay.objects import VOXEL_M
 from replay.run_folder import RunFolder
+from replay.surface import VOXEL_M, surface_of
 
 
 def held_out_frames(config: ReplayConfig, count: int) -> list[int]:
@@ -66,7 +66,7 @@ class Evaluation:
 
     Args:
         scores: figures by name; see `view_summary`, `mesh_scores`, `score_table` and
-            `instance_table`.
+            `object_table`.
         classes: for each class that is there its points and Top-1 in percent.
         instances: how well the objects of each class are told apart; empty where the truth does not
             tell objects apart or the map has no meaning.
@@ -124,9 +124,9 @@ def evaluate_run(
         if mesh_bytes is not None:
             scores |= mesh_scores(mesh.vertices_m, read_ply_vertices(mesh_bytes))
             if content.semantics is not None and ground_truth is None and len(mesh.vertices_m):
-                found = instance_scores(content, max(voxel_m, VOXEL_M), reader)
-                scores |= {} if found is None else instance_table(found)
-                instances = {} if found is None else found.classes
+                found = object_scores(surface_of(run, content, max(voxel_m, VOXEL_M), reader))
+                scores |= {} if found is None else object_table(found)
+                instances = {} if found is None else found.alone.classes
         if points is not None and space is not None:
             top_k = semantic_scores(content, points, space, mesh.vertices_m)
             scores |= score_table(top_k)

@@ -21,10 +21,8 @@ from proground_log.files import require_file
 from proground_log.log.reader import LogReader
 from proground_log.log.topics import MESH_ATTACHMENT
 from proground_log.mapping.map_file import NeuralMap
-from proground_log.mapping.semantic_map import Semantics
-from proground_log.perception.description import PerceptionDescription
 from proground_log.perception.texts import TextSpace
-from proground_log.query.grounding import vertex_logits
+from proground_log.query.grounding import ask_map
 
 POINTS_AT_ONCE = 32768
 BACKGROUND = ("wall", "floor", "ceiling", "void")
@@ -104,29 +102,17 @@ def semantic_scores(
         texts: where the candidates' names are looked up.
         surface_m: [S, 3] the map's vertices, for the coverage.
     """
-    assert content.semantics is not None
-    description = content.semantics.description
     embeddings = texts.embed(points.names)
     judged = np.flatnonzero(points.truth >= 0)
     ranks = np.full(len(points.truth), -1)
     for start in range(0, len(judged), POINTS_AT_ONCE):
         rows = judged[start : start + POINTS_AT_ONCE]
-        semantics = content.semantics_at(points.points_m[rows])
-        ranks[rows] = _ranks(semantics, description, embeddings, points.truth[rows])
+        logits, _ = ask_map(content, points.points_m[rows], embeddings)
+        ranks[rows] = truth_ranks(logits, points.truth[rows])
     distances_m = np.full(len(points.truth), np.inf)
     if len(surface_m):
         distances_m = np.asarray(cKDTree(surface_m).query(points.points_m)[0])
     return accuracy_of_ranks(ranks, points.truth, len(points.names), distances_m=distances_m)
-
-
-def _ranks(
-    semantics: Semantics,
-    description: PerceptionDescription,
-    texts: np.ndarray,
-    truth: np.ndarray,
-) -> np.ndarray:
-    logits = vertex_logits(semantics.embeddings, semantics.scale_logits, description.heads, texts)
-    return truth_ranks(logits, truth)
 
 
 def score_table(scores: TopK) -> dict[str, float]:

@@ -136,9 +136,16 @@ def open_log_of(manifest: Manifest, log_path: Path | None) -> LogReader:
     """The log that a run was made of: where the run found it, or where it has moved to.
 
     Raises:
-        ProgroundError: it is another log.
+        ProgroundError: it is not there, or another log.
     """
-    reader = LogReader(log_path or located(manifest.log_path))
+    path = log_path or located(manifest.log_path)
+    if not path.is_file():
+        raise ProgroundError(
+            "the log that the run was made of is not there",
+            where=path,
+            todo="say with --log where it is now",
+        )
+    reader = LogReader(path)
     if file_sha256(reader.path) != manifest.log_sha256:
         raise ProgroundError(
             "is not the log that the run was made of", where=reader.path, todo="give it with --log"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,24 +10,21 @@ import numpy as np
 
 from proground_log.errors import ProgroundError
 from proground_log.events import MeshExtracted
-from proground_log.locations import located
-from proground_log.log.reader import LogReader
-from proground_log.log.upright import levelled, up_direction
 from proground_log.mapping.map_file import load_map
 from proground_log.navigation.floor_plan import FloorPlan, Robot, draw_floor_plan
 from proground_log.navigation.picture import Sight
 from proground_log.navigation.planner import Planner, Route
 from proground_log.navigation.voronoi import Cell
 from proground_log.query.instances import Instance
-from proground_log.query.surface import Mesh, extract_mesh
+from proground_log.query.objects import SceneObject
+from proground_log.query.surface import Mesh
 from proground_log.telemetry.path_recording import PathDrawing, write_path_recording
 from replay.evaluate import Texts
-from replay.manifest import Manifest, file_sha256
-from replay.query import Answer, query_run
+from replay.manifest import file_sha256
+from replay.query import Answer, query_surface
 from replay.run_folder import RunFolder
+from replay.surface import Surface, log_if_there, require_meaning, surface_of
 
-POSES = 100
-"""So many of the camera's poses say which way is up."""
 MOST_THINGS = 10
 """A text may name several things: so many are tried, best first."""
 
@@ -56,7 +52,7 @@ class Journey:
     graph: nx.MultiGraph[Cell]
     mesh: Mesh
     robot: Robot
-    thing: Instance | None = None
+    thing: SceneObject | None = None
     rank: int = 1
 
     @property
@@ -75,41 +71,49 @@ def navigate_run(
     texts: Texts = Texts(),
     log_path: Path | None = None,
 ) -> Journey:
-    """Find a way on the map of a run.
+    """Find a way on the map of a run; see `navigate_surface`.
 
     Args:
-        run_path: folder of a finished run.
-        start: where the robot is: x and y of the floor plan, metres.
-        goal: where to: such a place, or what to look for; then the log must have had regions.
-        robot: what drives.
+        run_path: folder of a finished run; for a text its log must have had regions.
+        start, goal, robot, texts: from where to where, and who.
         voxel_m: voxels of the mesh that the floor plan is drawn of.
-        texts: embeddings of texts that the map does not know.
         log_path: the run's log, or None where it is where the run found it. Its cameras say which
             way is up; without it z is.
+    """
+    run = RunFolder(run_path).require_finished()
+    content = load_map(run.map)
+    if isinstance(goal, str):
+        require_meaning(content, run_path)
+    surface = surface_of(run, content, voxel_m, log_if_there(run, log_path))
+    return navigate_surface(surface, start, goal, robot, texts=texts)
+
+
+def navigate_surface(
+    surface: Surface, start: Place, goal: str | Place, robot: Robot, *, texts: Texts = Texts()
+) -> Journey:
+    """Find a way across the floor of a surface.
+
+    Args:
+        surface: of a map; for a text of one with meaning.
+        start: where the robot is: x and y of the floor plan, metres.
+        goal: where to: such a place, or what to look for.
+        robot: what drives.
+        texts: embeddings of texts that the map does not know.
 
     Raises:
         ProgroundError: the run has no floor, nobody knows the text or nothing like it is there, or
             there is no way; it says why, and the nearest place that can be reached.
     """
-    if not voxel_m > 0:
-        raise ProgroundError(
-            f"the voxels are {voxel_m} m", where="navigate", todo="choose more than 0"
-        )
-    run = RunFolder(run_path).require_finished()
-    answer: Answer | None = None
+    mesh, answer = surface.mesh, None
     if isinstance(goal, str):
-        mesh, (answer,) = query_run(run_path, [goal], voxel_m, MOST_THINGS, texts=texts)
+        (answer,) = query_surface(surface, [goal], MOST_THINGS, texts=texts)
         if not answer.things:
             raise ProgroundError(
                 f"nothing like {goal!r} was found",
-                where=run_path,
-                todo=f"see `pglog query {run_path} {goal!r}`, or give a place: --to X,Y",
+                where=surface.run.path,
+                todo=f"see `pglog query {surface.run.path} {goal!r}`, or give a place: --to X,Y",
             )
-    else:
-        mesh = extract_mesh(load_map(run.map), voxel_m)
-    log_path = log_path or located(Manifest.read(run.manifest).log_path)
-    up = levelled(_up(log_path), mesh.normals.astype(np.float64))
-    plan = draw_floor_plan(mesh.vertices_m, mesh.faces, up, robot)
+    plan = draw_floor_plan(mesh.vertices_m, mesh.faces, surface.up, robot)
     planner = Planner(plan, np.array(start), robot.radius_m)
     if answer is None:
         route = planner.to_place(np.array(goal, np.float64))
@@ -131,7 +135,7 @@ def sight(journey: Journey) -> Sight | None:
     """The thing that a journey leads to as a floor plan shows it, if it leads to one."""
     if journey.thing is None:
         return None
-    places_m = footprint(journey.plan, journey.mesh, journey.thing)
+    places_m = footprint(journey.plan, journey.mesh, journey.thing.instance)
     (left, low), (right, high) = places_m.min(axis=0), places_m.max(axis=0)
     corners_m = np.array([(left, low), (right, low), (right, high), (left, high)])
     return Sight(journey.name, corners_m)
@@ -165,27 +169,17 @@ def draw_journey(path: Path, run_path: Path, journey: Journey) -> None:
             free_m=plan.ground.world(plan.centres(np.argwhere(plan.clearance_m > 0))),
             free_clearance_m=plan.clearance_m[plan.clearance_m > 0],
             cell_m=plan.cell_m,
-            box_m=None if thing is None else np.stack([thing.lower_m, thing.upper_m]),
+            box=None if thing is None else thing.box,
         ),
     )
-
-
-def _up(log_path: Path) -> np.ndarray:
-    """About the upward direction of a log's world [3]."""
-    if not log_path.is_file():
-        return np.array([0.0, 0.0, 1.0])
-    reader = LogReader(log_path)
-    chosen = np.unique(np.linspace(0, len(reader) - 1, POSES).round().astype(int)).tolist()
-    return up_direction(np.array([frame.world_from_camera for frame in reader.frames(chosen)]))
 
 
 def _to_first(planner: Planner, mesh: Mesh, answer: Answer) -> tuple[Route, int]:
     """A way to the best of the things that can be reached, and its rank."""
     faults: list[ProgroundError] = []
-    things: Sequence[Instance] = answer.things
-    for rank, thing in enumerate(things, start=1):
+    for rank, thing in enumerate(answer.things, start=1):
         try:
-            place_m = footprint(planner.plan, mesh, thing)
+            place_m = footprint(planner.plan, mesh, thing.instance)
             return planner.to_thing(place_m, answer.query), rank
         except ProgroundError as fault:
             faults.append(fault)

@@ -53,6 +53,8 @@ class Plan:
         *,
         perceives: bool,
     ) -> None:
+        scale = config.simulation.cost_scale
+        self._machine = cost_model.name + (f" at --cost-scale {scale:g}" if scale != 1 else "")
         self.chosen = config.selection.of(len(reader))[: config.max_frames]
         self.policy = _policy(config)
         self.timing = _timing(reader.calibration, config, cost_model, perceives=perceives)
@@ -88,6 +90,22 @@ class Plan:
             now_ns = max(now_ns, self._arrivals_ns[following])
             yield Turn(following, now_ns, None)
             following = next(held_out)
+
+    def warning(self) -> str | None:
+        """What to tell the user before a replay whose budget never holds a step; None otherwise."""
+        slots = [turn.slot for turn in self.turns() if turn.slot is not None]
+        budget_ns, step_ns = self.policy.budget_ns, self.timing.step_ns
+        if budget_ns is None or not slots or any(slot.steps for slot in slots):
+            return None
+        cheapest = min(slots, key=lambda slot: slot.end_ns - slot.begin_ns)
+        rest_ns = cheapest.end_ns - cheapest.begin_ns
+        perceiving = ", perceiving" if "perceive" in self.spans(cheapest) else ""
+        return (
+            f"--budget-ms {budget_ns / NS_PER_MS:g}: no step fits (one takes "
+            f"{step_ns / NS_PER_MS:.1f} ms by {self._machine}, reading{perceiving} and inserting "
+            f"{rest_ns / NS_PER_MS:.1f} ms); the map will learn nothing; "
+            f"give {-(-(rest_ns + step_ns) // NS_PER_MS)} or more"
+        )
 
     def spans(self, slot: Slot) -> dict[str, tuple[int, int]]:
         """Begin and end of each stage of a slot, in nanoseconds; none of those without length."""

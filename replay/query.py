@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
+from scipy.special import expit, logit
 
 from proground_log.errors import ProgroundError
 from proground_log.events import MeshExtracted
 from proground_log.files import require_file
-from proground_log.locations import located
 from proground_log.log.reader import LogReader
 from proground_log.mapping.map_file import load_map
 from proground_log.perception.description import PerceptionDescription
@@ -21,30 +20,18 @@ from proground_log.perception.image_encoder import OnnxImageEncoder
 from proground_log.perception.map_texts import texts_for
 from proground_log.perception.of_log import prompt_of
 from proground_log.query.attributes import COLORS, SHARE, color_names, light_of
-from proground_log.query.boxes import OrientedBox, box_around
-from proground_log.query.grounding import BACKGROUND, relevance_to, z_scores
-from proground_log.query.instances import Instance, find_instances
+from proground_log.query.grounding import BACKGROUND, MARGIN, relevance_to, z_scores
+from proground_log.query.objects import LEAST_RELEVANCE, SceneObject
 from proground_log.query.parse import Query, parse_query
 from proground_log.query.relations import RELATIONS
-from proground_log.query.surface import Mesh
 from proground_log.telemetry.query_recording import QueryDrawing, write_query_recording
 from replay.evaluate import Texts
 from replay.manifest import Manifest, file_sha256, open_log_of
-from replay.objects import (
-    Surface,
-    log_if_there,
-    require_meaning,
-    require_voxels,
-    surface_of,
-)
 from replay.run_folder import RunFolder
+from replay.surface import Surface, log_if_there, require_meaning, surface_of
 
-GAP_VOXELS = 3
-"""Vertices this near are of one thing: a crack of a voxel or two must not split it."""
 NOT_MARGIN = 1.0
-"""What a query must not be has to fit a vertex so much less than the query, in logits."""
-LEAST_AREA_M2 = 0.02
-"""Of a thing: half a cup's. Smaller spots are specks of noise."""
+"""What a query must not be has to fit a thing so much less than the query, in logits."""
 BANK_FRAMES, BANK_SIDE = 12, 2
 """The bank behind an image query: so many frames, each cut into a grid of that side."""
 
@@ -64,10 +51,10 @@ class Measure:
     full: float
 
 
-RELEVANCE = Measure("relevance", threshold=0.2, full=1.0)
-"""The detector's own sigmoid. A prompt scores 0.5 and more on its things, but another name for one
-far less: mug on a cup 0.26. What only resembles a thing is told apart by the margin to the best
-text, so that the threshold can be this low."""
+RELEVANCE = Measure("relevance", threshold=LEAST_RELEVANCE / 2, full=1.0)
+"""The detector's own sigmoid, the mean over what it saw of a thing. Another name for a thing scores
+less than its prompt, and what only resembles it is told apart by the margin to the best text: so
+the threshold can be this low."""
 Z_SCORE = Measure("z", threshold=2.5, full=5.0)
 """Standard deviations above the bank. The bank is of the same place and so has the thing in it:
 what fills a share p of its crops reaches no more than sqrt((1 - p) / p), so that a threshold of 3
@@ -83,24 +70,19 @@ class Answer:
     Args:
         query: the text, or the name of the image's file.
         measure: what the scores are.
-        scores: float32 [V], of the mesh's vertices; those of the thing asked for, before its
-            colour and its relations are looked at.
-        things: what was found, best first.
-        boxes: the upright box of each.
+        things: what was found, best first; the score of each is for the query.
+        best: the best score of any object for the thing asked for, before its colour and its
+            relations are looked at; 0 where there are no objects.
+        scores: float32 [V], what the map says of its vertices.
         notes: what a reader of the answer should know.
     """
 
     query: str
     measure: Measure
+    things: tuple[SceneObject, ...]
+    best: float
     scores: np.ndarray
-    things: tuple[Instance, ...]
-    boxes: tuple[OrientedBox, ...]
     notes: tuple[str, ...] = ()
-
-    @property
-    def best(self) -> float:
-        """The best score of any vertex."""
-        return float(self.scores.max())
 
 
 @dataclass(frozen=True)
@@ -120,89 +102,116 @@ def query_run(
     image: ImageQuery | None = None,
     texts: Texts = Texts(),
     log_path: Path | None = None,
-) -> tuple[Mesh, list[Answer]]:
-    """Find things in the map of a run.
+) -> tuple[Surface, list[Answer]]:
+    """Find things in the map of a run; see `query_surface`.
 
     Args:
         run_path: folder of a finished run whose log had regions.
-        names: what to look for, as `parse_query` reads it; each competes with the task's prompts,
-            not with the others.
-        voxel_m: voxels of the mesh whose vertices are asked.
-        top_k: most things an answer has.
-        image: a picture to look for.
-        texts: embeddings of texts that the map does not know.
+        names, top_k, image, texts: what to look for.
+        voxel_m: voxels of the mesh whose objects are asked.
         log_path: the run's log, or None where it is where the run found it; `image` needs it, and
-            without it z is up.
+            without it objects are told apart by the map alone, and z is up.
 
     Returns:
-        The mesh, and an answer for each name, in their order; that for the image comes last.
-
-    Raises:
-        ProgroundError: the run has no meaning or no surface, nobody knows a text, or a file is
-            not what it should be.
+        The surface, and the answers.
     """
-    _require_sound(names, image, texts, voxel_m, top_k)
+    _require_sound(names, image, texts, top_k)
     run = RunFolder(run_path).require_finished()
     content = load_map(run.map)
     require_meaning(content, run_path)
-    log = log_if_there(run, log_path)
     assert content.semantics is not None
-    description = content.semantics.description
-    queries = [parse_query(name, description.task.all_prompts) for name in names]
-    rows, embeddings = _embed(queries, description, texts)
+    # What nobody knows is refused before the surface is extracted.
+    _embed(_parsed(names, content.semantics.description), content.semantics.description, texts)
+    if image is not None:
+        open_log_of(Manifest.read(run.manifest), log_path)
+    surface = surface_of(run, content, voxel_m, log_if_there(run, log_path))
+    return surface, query_surface(surface, names, top_k, image=image, texts=texts)
+
+
+def query_surface(
+    surface: Surface,
+    names: Sequence[str],
+    top_k: int,
+    *,
+    image: ImageQuery | None = None,
+    texts: Texts = Texts(),
+) -> list[Answer]:
+    """Find things on a surface.
+
+    Args:
+        surface: of a map with meaning; with its log where there is an image.
+        names: what to look for, as `parse_query` reads it; each competes with the task's prompts,
+            not with the others.
+        top_k: most things an answer has.
+        image: a picture to look for.
+        texts: embeddings of texts that the map does not know.
+
+    Returns:
+        An answer for each name, in their order; that for the image comes last.
+
+    Raises:
+        ProgroundError: nobody knows a text, or a file is not what it should be.
+    """
+    _require_sound(names, image, texts, top_k)
+    queries = _parsed(names, surface.description)
+    rows, embeddings = _embed(queries, surface.description, texts)
     known = len(embeddings)
     if image is not None:
-        embeddings = np.concatenate([embeddings, _embed_image(image, run, log_path)])
-    surface = surface_of(content, voxel_m, log, run_path)
+        assert surface.log is not None
+        embeddings = np.concatenate([embeddings, _embed_image(image, surface.log)])
     logits, background = surface.ask(embeddings)
-    asked = _Asked(surface, rows, logits, background)
+    testimony = surface.testimony(embeddings)
+    asked = _Asked(surface, rows, logits, background, _means(surface, expit(testimony)))
     answers = [asked.answer(name, query, top_k) for name, query in zip(names, queries, strict=True)]
     if image is not None:
         scores = z_scores(logits[:, known], logits[:, known + 1 :])
         scores[background >= BACKGROUND] = 0
-        things = asked.things(Z_SCORE, scores)[:top_k]
-        boxes = asked.boxes(things)
-        answers.append(Answer(image.image.name, Z_SCORE, scores, tuple(things), tuple(boxes)))
-    return surface.mesh, answers
+        fits = _means(surface, z_scores(testimony[:, known], testimony[:, known + 1 :])[:, None])
+        things = ranked(surface.objects, fits[:, 0], fits[:, 0] >= Z_SCORE.threshold)[:top_k]
+        best = float(fits.max(initial=0))
+        answers.append(Answer(image.image.name, Z_SCORE, tuple(things), best, scores))
+    return answers
 
 
-def draw_answers(
-    path: Path, run_path: Path, mesh: Mesh, answers: Sequence[Answer], log_path: Path | None = None
-) -> None:
+def ranked(
+    objects: Sequence[SceneObject], scores: np.ndarray, chosen: np.ndarray
+) -> list[SceneObject]:
+    """The chosen (bool [N]) of N objects with new scores [N], best first."""
+    order = [n for n in np.argsort(-scores, kind="stable").tolist() if chosen[n]]
+    return [
+        replace(objects[n], instance=replace(objects[n].instance, score=float(scores[n])))
+        for n in order
+    ]
+
+
+def draw_answers(path: Path, surface: Surface, answers: Sequence[Answer]) -> None:
     """Write a rerun recording with a tab for each answer.
 
     Args:
         path: the .rrd file, replaced if it is there.
-        run_path: folder of the run.
-        mesh, answers: as `query_run` gives them.
-        log_path: the run's log, or None where it is where the run found it; its camera says which
-            way is up, and without it z is.
+        surface, answers: as `query_run` gives them.
     """
-    run = RunFolder(run_path)
-    log_path = log_path or located(Manifest.read(run.manifest).log_path)
-    pose = next(LogReader(log_path).frames([0])).world_from_camera if log_path.is_file() else None
+    mesh = surface.mesh
     drawings = [
         QueryDrawing(
             query=answer.query,
             heat=np.clip(answer.scores / answer.measure.full, 0, 1),
-            lower_m=np.array([thing.lower_m for thing in answer.things]).reshape(-1, 3),
-            upper_m=np.array([thing.upper_m for thing in answer.things]).reshape(-1, 3),
-            labels=[f"{answer.query} {thing.score:.2f}" for thing in answer.things],
+            boxes=[thing.box for thing in answer.things],
+            labels=[f"{answer.query} {thing.instance.score:.2f}" for thing in answer.things],
         )
         for answer in answers
     ]
-    surface = MeshExtracted(0, mesh.vertices_m, mesh.faces, mesh.normals, mesh.colors)
+    extracted = MeshExtracted(0, mesh.vertices_m, mesh.faces, mesh.normals, mesh.colors)
     queries = ", ".join(answer.query for answer in answers)
-    recording_id = f"{file_sha256(run.map)[:16]}: {queries}"
-    write_query_recording(path, recording_id, surface, drawings, world_from_camera=pose)
+    recording_id = f"{file_sha256(surface.run.map)[:16]}: {queries}"
+    write_query_recording(path, recording_id, extracted, drawings, surface.up)
 
 
 def _require_sound(
-    names: Sequence[str], image: ImageQuery | None, texts: Texts, voxel_m: float, top_k: int
+    names: Sequence[str], image: ImageQuery | None, texts: Texts, top_k: int
 ) -> None:
     """Raise a ProgroundError unless there is a question that can be answered."""
     two_spaces = texts.vocabulary is not None and texts.text_encoder is not None
-    require_voxels(voxel_m)
     faults = (
         (not names and image is None, "there is nothing to look for", "give a text or --image"),
         (two_spaces, "--vocabulary and --text-encoder are both given", "leave one out"),
@@ -211,6 +220,10 @@ def _require_sound(
     for is_fault, what, todo in faults:
         if is_fault:
             raise ProgroundError(what, where="query", todo=todo)
+
+
+def _parsed(names: Sequence[str], description: PerceptionDescription) -> list[Query]:
+    return [parse_query(name, description.task.all_prompts) for name in names]
 
 
 def _embed(
@@ -228,11 +241,10 @@ def _embed(
     return rows, np.concatenate(embeddings)
 
 
-def _embed_image(query: ImageQuery, run: RunFolder, log_path: Path | None) -> np.ndarray:
+def _embed_image(query: ImageQuery, log: LogReader) -> np.ndarray:
     """Embeddings of the image and of its bank, [1 + B, 512]."""
     image, encoder = _read_image(query.image), OnnxImageEncoder(query.encoder)
-    reader = open_log_of(Manifest.read(run.manifest), log_path)
-    return np.stack([encoder.embed(picture) for picture in (image, *background_crops(reader))])
+    return np.stack([encoder.embed(picture) for picture in (image, *background_crops(log))])
 
 
 def _read_image(path: Path) -> np.ndarray:
@@ -257,21 +269,29 @@ def background_crops(reader: LogReader) -> Iterator[np.ndarray]:
             yield from np.array_split(band, BANK_SIDE, axis=1)
 
 
+def _means(surface: Surface, values: np.ndarray) -> np.ndarray:
+    """The mean of what each object's witnesses say, float64 [N, K], of values [W, K]."""
+    rows = [values[thing.witnesses].mean(axis=0, dtype=np.float64) for thing in surface.objects]
+    return np.array(rows).reshape(len(rows), values.shape[1])
+
+
 @dataclass(frozen=True)
 class _Asked:
-    """What the map says of the texts of all queries.
+    """What is said of the texts of all queries.
 
     Args:
-        surface: V vertices.
+        surface: V vertices, N objects.
         rows: by text its column.
-        logits: float [V, K]; the task's prompts come first.
+        logits: float [V, K], the map's; the task's prompts come first.
         background: float [V].
+        relevance: float [N, K], of the objects.
     """
 
     surface: Surface
     rows: Mapping[str, int]
     logits: np.ndarray
     background: np.ndarray
+    relevance: np.ndarray
 
     def answer(self, text: str, query: Query, top_k: int) -> Answer:
         """Find what is asked for."""
@@ -279,65 +299,54 @@ class _Asked:
         notes = self._notes(query)
         if query.other is not None and not others:
             notes.append(f"nothing was found that is {query.other.name!r} to be {query.relation}")
-        things = things[:top_k]
-        scores = self._scores(query)
+        best = float(self.relevance[:, self._column(query.name)].max(initial=0))
         return Answer(
-            text, RELEVANCE, scores, tuple(things), tuple(self.boxes(things)), tuple(notes)
+            text, RELEVANCE, tuple(things[:top_k]), best, self._scores(query), tuple(notes)
         )
 
-    def things(self, measure: Measure, scores: np.ndarray) -> list[Instance]:
-        """Group the vertices that score well."""
-        mesh, voxel_m = self.surface.mesh, self.surface.voxel_m
-        return find_instances(
-            mesh.vertices_m,
-            mesh.faces,
-            scores,
-            threshold=measure.threshold,
-            most_gap_m=GAP_VOXELS * voxel_m,
-            # A surface has a vertex or more for each of the voxels' faces that it crosses.
-            least_vertices=math.ceil(LEAST_AREA_M2 / voxel_m**2),
-        )
-
-    def boxes(self, things: Sequence[Instance]) -> list[OrientedBox]:
-        """The upright box of each."""
-        vertices_m, up = self.surface.mesh.vertices_m, self.surface.up
-        return [box_around(vertices_m[thing.vertices], up) for thing in things]
-
-    def _found(self, query: Query) -> tuple[list[Instance], list[Instance]]:
+    def _found(self, query: Query) -> tuple[list[SceneObject], list[SceneObject]]:
         """The things that a query means, and those it relates them to."""
-        things = self.things(RELEVANCE, self._scores(query))
+        column = self._column(query.name)
+        things = ranked(self.surface.objects, self.relevance[:, column], self._claimed(query))
         if query.color is not None:
             colors = self.surface.mesh.colors
             wanted, light = COLORS.index(query.color), light_of(colors)
             things = [
                 thing
                 for thing in things
-                if (color_names(colors[thing.vertices], light) == wanted).mean() >= SHARE
+                if (color_names(colors[thing.instance.vertices], light) == wanted).mean() >= SHARE
             ]
         if query.relation is None or query.other is None:
             return things, []
         others, _ = self._found(query.other)
-        lies_so, boxes = RELATIONS[query.relation], self.boxes(others)
+        lies_so = RELATIONS[query.relation]
         related = [
             thing
-            for thing, box in zip(things, self.boxes(things), strict=True)
-            if any(
-                lies_so(box, other_box)
-                for other, other_box in zip(others, boxes, strict=True)
-                # A cup near a mug is not near itself.
-                if not np.intersect1d(thing.vertices, other.vertices).size
-            )
+            for thing in things
+            # A cup near a mug is not near itself.
+            if any(lies_so(thing.box, other.box) and thing.box is not other.box for other in others)
         ]
         return related, others
 
+    def _claimed(self, query: Query) -> np.ndarray:
+        """Which objects a query's name fits, bool [N]; see `relevance_to`."""
+        column = self._column(query.name)
+        chance = logit(self.relevance.clip(1e-6, 1 - 1e-6))
+        competing = chance[:, [*range(self._prompts), column]].max(axis=1)
+        claimed = self.relevance[:, column] >= RELEVANCE.threshold
+        claimed &= chance[:, column] >= competing - MARGIN
+        for name in query.without:
+            claimed &= chance[:, column] - chance[:, self._column(name)] >= NOT_MARGIN
+        return np.asarray(claimed)
+
     def _scores(self, query: Query) -> np.ndarray:
         """Relevance [V] to a query's name, 0 where what it must not be fits nearly as well."""
-        column = self.rows[prompt_of(query.name)]
+        column = self._column(query.name)
         # A query that is a prompt does not compete with itself.
         competing = list(dict.fromkeys([*range(self._prompts), column]))
         scores = relevance_to(competing.index(column), self.logits[:, competing], self.background)
         for name in query.without:
-            lead = self.logits[:, column] - self.logits[:, self.rows[prompt_of(name)]]
+            lead = self.logits[:, column] - self.logits[:, self._column(name)]
             scores[lead < NOT_MARGIN] = 0
         return scores
 
@@ -346,8 +355,11 @@ class _Asked:
             f"{name!r} is none of the task's prompts: compared through its text alone, "
             "expect lower scores"
             for name in dict.fromkeys(query.names)
-            if self.rows[prompt_of(name)] >= self._prompts
+            if self._column(name) >= self._prompts
         ]
+
+    def _column(self, name: str) -> int:
+        return self.rows[prompt_of(name)]
 
     @property
     def _prompts(self) -> int:

@@ -38,6 +38,7 @@ VOXEL_M = 0.02
 """Of the mesh that is judged, as `pglog evaluate` has it."""
 VERDICT = (
     ("psnr_db", "Colour (PSNR)", "dB", ".1f"),
+    ("ssim", "Structure (SSIM)", "of 1", ".2f"),
     ("depth_l1_cm", "Depth error", "cm", ".1f"),
     ("completion_percent", "Surface found", "%", ".0f"),
     ("top1_percent", "Right names", "%", ".0f"),
@@ -91,7 +92,7 @@ def page_of(run_path: Path, log_path: Path | None, progress: Callable[[int, int]
         sections=[
             Section("Views", view_contents(manifest.config, content, reader)),
             Section("Quality", _quality(judged, why_not)),
-            *thing_sections(content, reader),
+            *thing_sections(run, content, reader),
             Section("Losses", loss_contents(history)),
             Section("Simulated time", budget_contents(manifest, history)),
             Section("Memory", memory_contents(history, content)),

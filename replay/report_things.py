@@ -14,20 +14,22 @@ from proground_log.query.objects import SceneObject
 from proground_log.report.figures import hex_color
 from proground_log.report.floor_chart import Outline, floor_chart
 from proground_log.report.page import Content, Note, Picture, Plan, Section, Table
-from replay.objects import VOXEL_M, Surface, counted_views, surface_of
+from replay.run_folder import RunFolder
+from replay.surface import VOXEL_M, Surface, surface_of
 
 MOST_POSES = 300
 
 
-def thing_sections(content: NeuralMap, reader: LogReader) -> list[Section]:
+def thing_sections(run: RunFolder, content: NeuralMap, reader: LogReader) -> list[Section]:
     """The sections Objects and Floor plan.
 
     Args:
-        content: the map.
+        run: the run.
+        content: its map.
         reader: its log: its camera says what is up, and its frames which object was seen.
     """
     try:
-        surface = surface_of(content, VOXEL_M, reader, reader.path)
+        surface = surface_of(run, content, VOXEL_M, reader)
     except ProgroundError as error:
         nothing: list[Content] = [Note(f"None: {error.what}.")]
         return [Section("Objects", nothing), Section("Floor plan", nothing)]
@@ -36,7 +38,7 @@ def thing_sections(content: NeuralMap, reader: LogReader) -> list[Section]:
     if content.semantics is None:
         listed = [Note("None: the log has no regions, so no meaning was learnt.")]
     else:
-        objects = counted_views(surface.objects(), surface.mesh, reader)
+        objects = surface.objects
         listed = _table(objects) if objects else [Note("None was found.")]
     return [
         Section("Objects", listed),
@@ -51,7 +53,7 @@ def _table(objects: list[SceneObject]) -> list[Content]:
             _triple(thing.instance.position_m, "  "),
             _triple(thing.box.extent_m, " x "),
             f"{thing.instance.score:.2f}",
-            str(thing.views),
+            "" if thing.views is None else str(thing.views),
         )
         for number, thing in enumerate(objects, start=1)
     ]

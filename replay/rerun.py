@@ -12,7 +12,6 @@ from typing import NamedTuple
 from proground_log.errors import ProgroundError
 from proground_log.events import Sink
 from proground_log.files import disk_errors, require_file, require_free
-from proground_log.locations import located
 from proground_log.log.reader import LogReader
 from proground_log.perception.description import PerceptionDescription
 from proground_log.perception.of_log import perception_of
@@ -80,14 +79,7 @@ def open_run(manifest_path: Path, log: Path | None) -> OpenedRun:
     is_folder = manifest_path.is_dir()
     run = RunFolder(manifest_path if is_folder else manifest_path.parent)
     manifest = Manifest.read(run.manifest if is_folder else manifest_path)
-    path = log or located(manifest.log_path)
-    if not path.is_file():
-        raise ProgroundError(
-            "the log that the run was made of is not there",
-            where=path,
-            todo="say with --log where it is now",
-        )
-    return OpenedRun(run, manifest, open_log_of(manifest, path))
+    return OpenedRun(run, manifest, open_log_of(manifest, log))
 
 
 def rerun(

@@ -13,6 +13,7 @@ from safetensors.numpy import save
 
 from proground_log.errors import ProgroundError
 from proground_log.files import disk_errors, written_whole
+from replay.manifest import Manifest
 
 
 @dataclass(frozen=True)
@@ -82,9 +83,10 @@ class RunFolder:
         if not self.path.is_dir():
             raise ProgroundError("no such run", where=self.path, todo="check the path")
         if not self.is_finished:
-            todo = "finish it with `pglog replay LOG -o RUN --resume`"
-            if not self.manifest.is_file():
-                todo = "make one with `pglog replay LOG -o RUN`"
+            todo = "make one with `pglog replay LOG -o RUN`"
+            if self.manifest.is_file():
+                log = Manifest.read(self.manifest).log_path
+                todo = f"finish it with `pglog replay {log} -o {self.path} --resume`"
             raise ProgroundError("is not a finished run", where=self.path, todo=todo)
         return self
 

@@ -87,7 +87,7 @@ class Slot(NamedTuple):
         steps: optimisation steps.
         is_keyframe: whether it is one.
         is_perceived: whether its regions are found, in its own time or beside.
-        overrun_ns: what reading and inserting it took beyond the budget.
+        overrun_ns: what reading, perceiving and inserting it took beyond the budget.
         meanwhile: what else happened up to its end, since the end of the slot before; by time.
     """
 

@@ -39,6 +39,7 @@ def replay(
     perceiver: Perceiver | None = None,
     cost_model: CostModel | None = None,
     watchers: Callable[[int], Sequence[Sink]] = lambda _: (),
+    warn: Callable[[str], None] = lambda _: None,
     until_frame: int | None = None,
     pause: Pause | None = None,
 ) -> Manifest:
@@ -55,6 +56,7 @@ def replay(
         perceiver: finds the regions of each frame, for a log that has none yet.
         cost_model: what stages take, in place of the one that the settings name.
         watchers: given the number of frames to come, further sinks, such as a progress bar.
+        warn: told beforehand where the budget never holds a step.
         until_frame: stop after this frame of the log, as if the user had.
         pause: asked after every frame whether to go on.
 
@@ -94,6 +96,8 @@ def replay(
         manifest.write(run.manifest)
         if checkpoint is not None and start is not None:
             _begin_at(checkpoint, start, run)
+    if (warning := plan.warning()) is not None:
+        warn(warning)
     runner = Runner(reader, run, manifest, plan, device, perception, perceiver, until_frame, pause)
     with _stop_on_signals(runner):
         summary = runner.run(watchers)

@@ -15,6 +15,7 @@ from replay.sweep_grid import shown
 FIGURES = {
     "top1_percent": "Top-1 %",
     "psnr_db": "PSNR dB",
+    "ssim": "SSIM",
     "depth_l1_cm": "depth L1 cm",
     "frames_dropped": "frames dropped",
 }

@@ -21,7 +21,7 @@ class Tally:
         stages_ns: time by stage.
         idle_ns: time without anything to do.
         end_ns: end of the last frame.
-        overruns: frames whose reading and inserting took more than the budget.
+        overruns: frames whose reading, perceiving and inserting took more than the budget.
         lag_ns, worst_lag_ns: time from the arrival of a frame to the end of its turn, in all and
             at most.
         longest_queue: most frames that waited.

@@ -135,7 +135,8 @@ def test_objects_number_the_vertices_of_the_mesh(run: pg.Run) -> None:
     assert objects
     for thing in objects:
         assert thing.label in run.prompts
-        assert thing.views is not None
+        # The replay itself ran the detector: no log says who saw what.
+        assert thing.views is None
         inside_m = np.abs(vertices_m[thing.instance.vertices] - thing.box.centre_m) @ np.abs(
             thing.box.axes.T
         )

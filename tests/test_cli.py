@@ -13,6 +13,7 @@ import time
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,9 @@ from proground_log.regions import Regions
 from recorders.formats.seven_scenes import SevenScenesSource
 from recorders.record import record
 from recorders.room import RoomSource
+from replay.config import ReplayConfig
+from replay.cost_model import DEFAULT_MODEL, CostModel
+from replay.manifest import Manifest
 from tests.commands import Answer, Pglog
 from tests.full_disk import largest_file
 from tests.perception.tiny_encoders import write_text_encoder
@@ -93,6 +97,11 @@ def test_a_wrong_command_line(pglog: Pglog, arguments: list[str]) -> None:
     assert (answer.code, answer.out) == (2, "")
     assert "Traceback" not in answer.err
     assert "--help" in answer.err
+
+
+def test_version(pglog: Pglog) -> None:
+    answer = pglog("--version")
+    assert answer == Answer(0, f"proground-log {version('proground-log')}\n", "")
 
 
 def test_help_of_a_command_in_a_command(pglog: Pglog) -> None:
@@ -490,6 +499,19 @@ def test_names_are_printed_as_they_are(pglog: Pglog, tmp_path: Path) -> None:
     assert ":dog: [/]" in pglog("info", log).out
 
 
+def test_info_shows_what_looks_wrong_about_a_recording(
+    pglog: Pglog, small_log: Path, tmp_path: Path
+) -> None:
+    source = SmallSource(3, warnings=("the lens cap is on", "the floor is lava"))
+    log = tmp_path / "odd.mcap"
+    record(source, "odd", log, Selection(), overwrite=False, progress=lambda *_: None)
+    rows = pglog("info", log).out.splitlines()
+    (first,) = (n for n, row in enumerate(rows) if row.startswith("│ warnings"))
+    assert "the lens cap is on" in rows[first]
+    assert "the floor is lava" in rows[first + 1]
+    assert "warnings" not in pglog("info", small_log).out
+
+
 @pytest.mark.parametrize("columns", [20, 40, 80])
 def test_narrow_terminals_lose_nothing(
     pglog: Pglog, small_log: Path, monkeypatch: pytest.MonkeyPatch, columns: int
@@ -514,8 +536,11 @@ def reading_commands(path: Path, free: Path) -> list[list[object]]:
 
 
 def test_a_missing_log(pglog: Pglog, tmp_path: Path) -> None:
-    for command in reading_commands(tmp_path / "no.mcap", tmp_path / "run"):
+    *commands, view = reading_commands(tmp_path / "no.mcap", tmp_path / "run")
+    for command in commands:
         assert_one_clear_line(pglog(*command), "no.mcap: no such file; check the path")
+    assert_one_clear_line(pglog(*view), "no.mcap: no such log or run; check the path")
+    assert_one_clear_line(pglog("view", tmp_path, tmp_path / "no"), "no: no such log or run")
     assert not (tmp_path / "run").exists()
 
 
@@ -564,7 +589,7 @@ def test_an_unknown_format(pglog: Pglog, tmp_path: Path) -> None:
     ("arguments", "parts"),
     [
         (["tum"], ["tum: needs a source"]),
-        (["tum", "no-such-folder"], ["no-such-folder"]),
+        (["tum", "no-such-folder"], ["no-such-folder: no such folder or file; check the path"]),
         (["synthetic", "folder"], ["has no use for folder"]),
         (["synthetic", "--max-time-difference-s", "1"], ["there is no option"]),
         (["synthetic", "--seed", "-1"], ["the seed is -1"]),
@@ -741,9 +766,12 @@ def test_what_is_no_run(pglog: Pglog, tmp_path: Path, small_log: Path) -> None:
         assert_one_clear_line(pglog(*command), "is not a finished run; make one with `pglog replay")
     for command in run_commands(small_log, output):
         assert_one_clear_line(pglog(*command), "no such run")
-    (tmp_path / "manifest.json").touch()
+    model = CostModel.load(DEFAULT_MODEL)
+    manifest = Manifest.of(small_log, ReplayConfig(), model, "cpu", None)
+    manifest.write(tmp_path / "manifest.json")
+    finish = f"finish it with `pglog replay {small_log} -o {tmp_path} --resume`"
     for command in run_commands(tmp_path, output):
-        assert_one_clear_line(pglog(*command), "is not a finished run; finish it with", "--resume")
+        assert_one_clear_line(pglog(*command), f"is not a finished run; {finish}")
     assert_one_clear_line(pglog("view", tmp_path), "the folder has no telemetry.rrd")
     assert not output.exists()
 

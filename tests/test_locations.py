@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import http.server
+import re
 import socket
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,7 +18,7 @@ from proground_log.camera import Calibration
 from proground_log.cli import app
 from proground_log.errors import ProgroundError
 from proground_log.frame import Selection, SensorFrame
-from proground_log.locations import located
+from proground_log.locations import INSTALL, located
 from proground_log.log.reader import LogReader
 from recorders.record import record
 from recorders.registry import open_source
@@ -97,6 +99,17 @@ def test_a_command_takes_a_url(
 def test_what_is_not_there_is_named(served: tuple[Path, str]) -> None:
     with pytest.raises(ProgroundError, match=r"/b\.mcap: no such file, or it cannot be reached"):
         LogReader(located(f"{served[1]}/b.mcap"))
+
+
+@pytest.mark.parametrize("missing", ["upath", "s3fs"])
+def test_what_a_url_needs_and_is_missing_is_named(
+    missing: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, missing, None)
+    with pytest.raises(
+        ProgroundError, match=rf"URLs need more .*{missing}.*; {re.escape(INSTALL)}"
+    ):
+        located("s3://bucket/a.mcap")
 
 
 def test_an_unknown_kind_of_url_is_refused() -> None:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import tyro
 
+from proground_log import __version__
 from proground_log.cli import (
     ablate,
     bisect,
@@ -31,7 +32,7 @@ from proground_log.cli import (
     sweep,
     view,
 )
-from proground_log.cli.common import FAILED, STOPPED
+from proground_log.cli.common import FAILED, SAME, STOPPED
 from proground_log.errors import ProgroundError
 
 COMMANDS: dict[str, Callable[..., int]] = {
@@ -68,6 +69,9 @@ app.command(_vocabulary, name="vocabulary", help="Make files of text embeddings.
 
 def main() -> None:
     """Run a command; its result is the exit code."""
+    if sys.argv[1:] == ["--version"]:
+        print(f"proground-log {__version__}")
+        sys.exit(SAME)
     try:
         code = app.cli(
             prog="pglog",

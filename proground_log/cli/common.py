@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -70,6 +71,11 @@ def shown_progress(what: str) -> Iterator[Callable[[int, int], None]]:
     finally:
         if bar.live.is_started:
             bar.stop()
+
+
+def warn(warning: str) -> None:
+    """Say what looks wrong, though the command goes on."""
+    print(f"pglog: warning: {warning}", file=sys.stderr)
 
 
 def print_table(title: str, rows: dict[str, str]) -> None:

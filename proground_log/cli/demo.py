@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from proground_log.cli.common import SAME, Output
+from proground_log.cli.objects import objects_command
 from proground_log.cli.perception import perceive_command
 from proground_log.cli.query import query_command
 from proground_log.cli.record import FormatOptions, record_command
@@ -14,18 +15,20 @@ def demo_command(*, output: Output, seed: int = 0, overwrite: bool = False) -> i
     """Record the built-in room, perceive, map, judge and ask: all of it, in about three minutes.
 
     Args:
-        output: folder for room.mcap, seen.mcap and run/.
+        output: folder for room.mcap, seen.mcap, run/ and objects.rrd.
         seed: varies the room and every draw.
         overwrite: replace an earlier demo.
     """
     room, seen, run = output / "room.mcap", output / "seen.mcap", output / "run"
+    objects = output / "objects.rrd"
     options = FormatOptions(seed=seed)
     record_command("synthetic", output=room, options=options, overwrite=overwrite)
     perceive_command(room, output=seen, simulated=True, seed=seed, overwrite=overwrite)
     config = ReplayConfig(seed=seed, hold_out_every=10)
     replay_command(seen, output=run, config=config, overwrite=overwrite)
     evaluate_command(run)
-    query_command(run, ("sofa", "couch", "refrigerator"))
-    print(f"\nlook at it:      pglog view {run}\nlook at the log: pglog view {seen}")
+    objects_command(run, rrd=objects, overwrite=overwrite)
+    query_command(run, ("sofa", "couch", "cup on table"))
+    print(f"\nlook at the run: pglog view {run}\nlook at the log: pglog view {seen}")
     print(f'ask the map:     pglog query {run} "lamp"')
     return SAME

@@ -122,7 +122,7 @@ def _points(request: _Request) -> str:
 
 def _openlex3d(request: _Request) -> str:
     from proground_log.exports.openlex3d import write_openlex3d
-    from replay.objects import require_meaning
+    from replay.surface import require_meaning
 
     require_meaning(request.run.map, request.run.path)
     mesh = request.run.mesh(request.voxel_m)
@@ -177,11 +177,11 @@ def _mcap(request: _Request) -> str:
 def _labelled(request: _Request) -> tuple[list[SceneObject], SurfaceLabels]:
     """The objects on the surface, and what that makes of its vertices."""
     from proground_log.exports.labels import label_surface
-    from replay.objects import require_meaning
+    from replay.surface import require_meaning
 
     require_meaning(request.run.map, request.run.path)
     surface = request.run.surface(request.voxel_m)
-    objects = surface.objects()
+    objects = surface.objects
     vertices = len(surface.mesh.vertices_m)
     return objects, label_surface(vertices, objects, surface.description.task)
 

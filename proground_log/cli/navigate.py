@@ -26,7 +26,7 @@ def navigate_command(
     robot_height: float = 1.0,
     vocabulary: MaybePath = None,
     text_encoder: MaybePath = None,
-    voxel_m: float = 0.04,
+    voxel_m: float = 0.03,
     as_json: AsJson = False,
     png: MaybePath = None,
     rrd: MaybePath = None,
@@ -109,10 +109,11 @@ def _as_json(journey: Journey) -> dict[str, object]:
         found = {
             "query": journey.name,
             "rank": journey.rank,
-            "position_m": _rounded(thing.position_m),
-            "lower_m": _rounded(thing.lower_m),
-            "upper_m": _rounded(thing.upper_m),
-            "score": round(thing.score, 4),
+            "label": thing.label,
+            "position_m": _rounded(thing.instance.position_m),
+            "lower_m": _rounded(thing.instance.lower_m),
+            "upper_m": _rounded(thing.instance.upper_m),
+            "score": round(thing.instance.score, 4),
         }
     return {
         "length_m": round(route.length_m, 3),
@@ -150,8 +151,9 @@ def _print(journey: Journey) -> None:
         "goal": "{:.2f}, {:.2f}".format(*route.corners_m[-1]),
     }
     if thing is not None:
-        x_m, y_m, z_m = thing.position_m
-        rows["thing"] = f"{journey.name} at {x_m:.2f} {y_m:.2f} {z_m:.2f}, score {thing.score:.2f}"
+        x_m, y_m, z_m = thing.instance.position_m
+        place = f"{x_m:.2f} {y_m:.2f} {z_m:.2f}"
+        rows["thing"] = f"{journey.name} at {place}, score {thing.instance.score:.2f}"
         if journey.rank > 1:
             rows["thing"] += f", number {journey.rank}: better ones cannot be reached"
     print_table(f"the way to {journey.name}", rows)

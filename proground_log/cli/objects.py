@@ -16,6 +16,7 @@ def objects_command(
     voxel_m: float = 0.03,
     as_json: AsJson = False,
     csv: MaybePath = None,
+    rrd: MaybePath = None,
     overwrite: bool = False,
     log: MaybePath = None,
 ) -> int:
@@ -26,18 +27,23 @@ def objects_command(
         voxel_m: voxels of the surface that is asked.
         as_json: print JSON, for programs.
         csv: a table to write (.csv).
-        overwrite: replace that table.
+        rrd: a recording of the objects to write, for rerun (.rrd).
+        overwrite: replace these files.
         log: the run's log, where it has moved; it says what is up and how often things were seen.
     """
     from proground_log.files import require_free
-    from replay.objects import object_rows, objects_of_run, write_objects_csv
+    from replay.objects import draw_objects, object_rows, surface_of_run, write_objects_csv
 
-    if csv is not None:
-        require_free(csv, overwrite=overwrite)
+    for output in (csv, rrd):
+        if output is not None:
+            require_free(output, overwrite=overwrite)
     with err.status("asking the map"):
-        objects = objects_of_run(run, voxel_m, log)
-    if csv is not None:
-        write_objects_csv(csv, objects)
+        surface = surface_of_run(run, voxel_m, log)
+        objects = surface.objects
+        if csv is not None:
+            write_objects_csv(csv, objects)
+        if rrd is not None:
+            draw_objects(rrd, surface)
     if as_json:
         print(json.dumps(object_rows(objects), indent=2))
         return SAME
@@ -61,4 +67,6 @@ def objects_command(
         out.print(table)
     else:
         print("no object of the task's prompts is in the map")
+    if rrd is not None:
+        print(f"look at it: pglog view {rrd}")
     return SAME

@@ -27,7 +27,7 @@ def query_command(
     vocabulary: MaybePath = None,
     text_encoder: MaybePath = None,
     top_k: int = 5,
-    voxel_m: float = 0.04,
+    voxel_m: float = 0.03,
     as_json: AsJson = False,
     rrd: MaybePath = None,
     overwrite: bool = False,
@@ -63,7 +63,7 @@ def query_command(
     if rrd is not None:
         require_free(rrd, overwrite=overwrite)
     with err.status("asking the map"):
-        mesh, answers = query_run(
+        surface, answers = query_run(
             run,
             texts,
             voxel_m,
@@ -73,7 +73,7 @@ def query_command(
             log_path=log,
         )
         if rrd is not None:
-            draw_answers(rrd, run, mesh, answers, log)
+            draw_answers(rrd, surface, answers)
     if as_json:
         print(json.dumps([_as_json(answer) for answer in answers], indent=2))
         return SAME
@@ -94,15 +94,17 @@ def _as_json(answer: Answer) -> dict[str, object]:
         "notes": list(answer.notes),
         "things": [
             {
-                "position_m": rounded(thing.position_m),
-                "lower_m": rounded(thing.lower_m),
-                "upper_m": rounded(thing.upper_m),
-                "extent_m": rounded(thing.upper_m - thing.lower_m),
-                "box": box_json(box),
-                "score": round(thing.score, 4),
-                "vertices": len(thing),
+                "label": thing.label,
+                "position_m": rounded(thing.instance.position_m),
+                "lower_m": rounded(thing.instance.lower_m),
+                "upper_m": rounded(thing.instance.upper_m),
+                "extent_m": rounded(thing.instance.upper_m - thing.instance.lower_m),
+                "box": box_json(thing.box),
+                "score": round(thing.instance.score, 4),
+                "vertices": len(thing.instance),
+                "views": thing.views,
             }
-            for thing, box in zip(answer.things, answer.boxes, strict=True)
+            for thing in answer.things
         ],
     }
 
@@ -111,15 +113,15 @@ def _print(answers: list[Answer]) -> None:
     from replay.objects import rounded
 
     table = Table(
-        *(Column(name, overflow="fold") for name in ("query", "rank")),
+        *(Column(name, overflow="fold") for name in ("query", "rank", "object")),
         *(Column(name, justify="right") for name in ("position m", "extent m", "score")),
     )
     for answer in answers:
-        for rank, (thing, box) in enumerate(zip(answer.things, answer.boxes, strict=True), start=1):
-            position = "  ".join(f"{value:.2f}" for value in rounded(thing.position_m))
-            extent = " x ".join(f"{value:.2f}" for value in box.extent_m)
-            score = f"{answer.measure.name} {thing.score:.2f}"
-            table.add_row(answer.query, str(rank), position, extent, score)
+        for rank, thing in enumerate(answer.things, start=1):
+            position = "  ".join(f"{value:.2f}" for value in rounded(thing.instance.position_m))
+            extent = " x ".join(f"{value:.2f}" for value in thing.box.extent_m)
+            score = f"{answer.measure.name} {thing.instance.score:.2f}"
+            table.add_row(answer.query, str(rank), thing.label, position, extent, score)
     if table.row_count:
         out.print(table)
     for answer in answers:
@@ -131,7 +133,7 @@ def _print(answers: list[Answer]) -> None:
 
 def _why_nothing(answer: Answer) -> str:
     measure = answer.measure
-    best = f"the best {measure.name} on the map is {answer.best:.2f}"
+    best = f"the best {measure.name} of an object is {answer.best:.2f}"
     if answer.best < measure.threshold:
         return f"{best}, and {measure.threshold:.2f} is needed"
-    return f"{best}, but on nothing that is large enough, of the colour and in the place asked for"
+    return f"{best}, but another text fits that better, or its colour or place is not as asked"

@@ -22,6 +22,7 @@ from proground_log.cli.common import (
     MaybeText,
     Output,
     shown_progress,
+    warn,
 )
 from proground_log.errors import ProgroundError
 from proground_log.frame import Selection
@@ -147,7 +148,7 @@ def record_command(
             opened, name, output, selection, overwrite=overwrite, progress=progress, jobs=jobs
         )
     for warning in recording.warnings:
-        print(f"pglog: warning: {warning}", file=sys.stderr)
+        warn(warning)
     if as_json:
         print(json.dumps({"log": str(output), **dataclasses.asdict(recording)}, indent=2))
         return SAME

@@ -24,6 +24,7 @@ from proground_log.cli.common import (
     out,
     print_table,
     shown_progress,
+    warn,
 )
 from proground_log.cli.pause import TerminalPause
 from proground_log.cli.perceivers import PerceptionOptions, perceiver_of_replay
@@ -103,6 +104,7 @@ def replay_command(
             overwrite=overwrite,
             perceiver=perceiver_of_replay(LogReader(log), perception),
             watchers=_progress_watcher,
+            warn=warn,
             until_frame=until_frame,
             pause=pause,
         )
@@ -133,6 +135,8 @@ def print_summary(run: Path, manifest: Manifest) -> None:
     # What the first table has already.
     rest = {name: str(value) for name, value in simulated.items() if name not in result}
     print_table("simulated schedule", rest)
+    if result.get("steps") == 0:
+        warn(f"{run}: no step was done; the map has learnt nothing")
 
 
 def _figures(part: object) -> dict[str, float]:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 from rich.table import Column, Table
 
-from proground_log.cli.common import FAILED, SAME, STOPPED, Log, MaybeInt, Output, err, out
+from proground_log.cli.common import FAILED, SAME, STOPPED, Log, MaybeInt, Output, err, out, warn
 from proground_log.cli.perceivers import PerceptionOptions, perceiver_of_replay
 from proground_log.errors import ProgroundError
 from replay.config import ReplayConfig, SimulationConfig, TelemetryConfig
@@ -127,6 +127,9 @@ def sweep_command(
     out.print(table)
     for name, error in errors_of(results).items():
         print(f"pglog: cell {name} failed: {error}", file=sys.stderr)
+    idle = [result.cell.name for result in results if result.figures.get("steps") == 0]
+    if idle:
+        warn(f"no step was done in {', '.join(idle)}: the map has learnt nothing there")
     for path in (*write_tables(output, file_sha256(log), results), *draw(output, results)):
         print(path)
     return FAILED if errors else SAME

@@ -23,5 +23,8 @@ def view_command(
         raise ProgroundError(
             "there is nothing to open", where="view", todo="give logs (.mcap) or folders of runs"
         )
+    for path in paths:
+        if not path.exists():
+            raise ProgroundError("no such log or run", where=path, todo="check the path")
     view(paths, web=web)
     return SAME

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 REACH_M = 0.05
 """A true vertex is what the map's nearest vertex within this is of."""
+CROWD = 3
+"""So many objects of one class in a row, each near the next, are a crowd."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,7 @@ def score_instances(
     objects: np.ndarray,
     classes: Sequence[str],
     *,
+    crowds: Collection[int] = (),
     ious: Sequence[float] = (0.25, 0.5),
 ) -> InstanceScores:
     """Match found objects to true ones.
@@ -74,6 +78,9 @@ def score_instances(
     mesh is cut does not matter, and what nobody knows the truth of is not judged. Pairs of one
     class are matched one to one by falling IoU, then by rising numbers.
 
+    Crowds are treated as in COCO (Lin et al., ECCV 2014): they need not be found, and what is found
+    and lies for the most part on those of its class is not counted either.
+
     Args:
         true_vertices_m: float [T, 3].
         true_objects: int [T], number of the object that a vertex is of, -1 for none.
@@ -81,6 +88,7 @@ def score_instances(
         vertices_m: float [V, 3], of the map.
         objects: int [V], number of the found object, -1 for none.
         classes: class of each found object.
+        crowds: numbers of the true objects that stand in crowds; see `find_crowds`.
         ious: a pair counts from these on (intersection over union).
     """
     distance_m, nearest = cKDTree(vertices_m).query(true_vertices_m)
@@ -96,18 +104,52 @@ def score_instances(
     matched_iou: dict[int, float] = {}
     taken: set[int] = set()
     for iou, true, found in sorted(overlaps, key=lambda pair: (-pair[0], *pair[1:])):
-        is_free = true not in matched_iou and found not in taken
+        is_free = true not in matched_iou and found not in taken and true not in crowds
         if is_free and true_classes[true] == classes[found]:
             matched_iou[true] = float(iou)
             taken.add(found)
 
+    parts = shared.row.tolist(), shared.col.tolist(), shared.data.tolist()
+    on_crowds = np.zeros(len(classes), np.int64)
+    for true, found, vertices in zip(*parts, strict=True):
+        if true in crowds and true_classes[true] == classes[found]:
+            on_crowds[found] += vertices
+    ignored = {n for n in np.flatnonzero(2 * on_crowds > found_sizes).tolist() if n not in taken}
+    judged = [name for n, name in enumerate(true_classes) if n not in crowds]
+    claims = [name for n, name in enumerate(classes) if n not in ignored]
+
     def counts(wanted: Sequence[str]) -> InstanceCounts:
         scores = [iou for true, iou in matched_iou.items() if true_classes[true] in wanted]
         return InstanceCounts(
-            true=sum(name in wanted for name in true_classes),
-            found=sum(name in wanted for name in classes),
+            true=sum(name in wanted for name in judged),
+            found=sum(name in wanted for name in claims),
             matched={least: sum(iou >= least for iou in scores) for least in ious},
         )
 
     names = sorted({*true_classes, *classes})
     return InstanceScores(counts(names), {name: counts([name]) for name in names})
+
+
+def find_crowds(
+    vertices_m: np.ndarray, objects: np.ndarray, classes: Sequence[str], nearer_than_m: float
+) -> frozenset[int]:
+    """The objects that stand in crowds: books on a shelf.
+
+    Args:
+        vertices_m: float [T, 3].
+        objects: int [T], number of the object that a vertex is of, -1 for none.
+        classes: class of each object.
+        nearer_than_m: two of one class with vertices this near are neighbours.
+
+    Returns:
+        The numbers of those in rows of `CROWD` or more neighbours.
+    """
+    on_object = np.flatnonzero(objects >= 0)
+    near = cKDTree(vertices_m[on_object]).query_pairs(nearer_than_m, output_type="ndarray")
+    first, second = objects[on_object[near]].T
+    kind = np.unique(np.array(classes, str), return_inverse=True)[1]
+    alike = (first != second) & (kind[first] == kind[second])
+    pairs = np.stack([first[alike], second[alike]])
+    links = coo_array((np.ones(pairs.shape[1], bool), tuple(pairs)), shape=(len(classes),) * 2)
+    _, row = connected_components(links, directed=False)
+    return frozenset(np.flatnonzero(np.bincount(row)[row] >= CROWD).tolist())

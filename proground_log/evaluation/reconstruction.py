@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from proground_log.evaluation.picture_quality import structural_similarity
 from proground_log.frame import Frame
 from proground_log.mapping.map_file import NeuralMap
 
@@ -22,20 +24,27 @@ class ViewScore:
 
     Args:
         frame_index: number of the frame in its log.
-        color_mse: mean squared error of the colour in [0, 1], over pixels with colour and depth.
-        depth_l1_m: mean absolute error of the depth, over valid depths under 5 m that were hit.
-        missed: share of those depths where the map has no surface.
+        color_mse: mean squared error of the colour in [0, 1], over pixels with colour and depth;
+            None where there is no such pixel.
+        depth_l1_m: mean absolute error of the depth, over valid depths under 5 m that were hit;
+            None where none was.
+        missed: share of those depths where the map has no surface; None where there is no depth.
+        ssim: structural similarity of the colour over the same pixels as its error, as far as
+            they lie together; None where no window fits among them.
     """
 
     frame_index: int
-    color_mse: float
-    depth_l1_m: float
-    missed: float
+    color_mse: float | None
+    depth_l1_m: float | None
+    missed: float | None
+    ssim: float | None
 
     @property
-    def psnr_db(self) -> float:
-        """Peak signal-to-noise ratio of the colour."""
-        return -10 * float(np.log10(self.color_mse))
+    def psnr_db(self) -> float | None:
+        """Peak signal-to-noise ratio of the colour; infinite where it is equal."""
+        if self.color_mse is None:
+            return None
+        return -10 * math.log10(self.color_mse) if self.color_mse else math.inf
 
 
 def score_view(content: NeuralMap, frame: Frame) -> ViewScore:
@@ -48,21 +57,35 @@ def score_view(content: NeuralMap, frame: Frame) -> ViewScore:
     hit = close & (view.depth_m > 0)
     return ViewScore(
         frame_index=frame.index,
-        color_mse=float(np.square(error).mean()),
-        depth_l1_m=float(np.abs(view.depth_m - frame.depth_m)[hit].mean()),
-        missed=1 - float(hit.sum() / close.sum()),
+        color_mse=_mean(np.square(error)),
+        depth_l1_m=_mean(np.abs(view.depth_m - frame.depth_m)[hit]),
+        missed=_mean(~hit[close]),
+        ssim=structural_similarity(view.color, frame.color, judged),
     )
 
 
 def view_summary(scores: Iterable[ViewScore]) -> dict[str, float]:
-    """Means over the views; PSNR is the mean of the views' PSNRs."""
+    """Each figure's mean over the views that have it, as far as there are any.
+
+    PSNR is the mean of the views' PSNRs.
+    """
     scores = list(scores)
-    return {
-        "views": len(scores),
-        "psnr_db": float(np.mean([s.psnr_db for s in scores])),
-        "depth_l1_cm": 100 * float(np.mean([s.depth_l1_m for s in scores])),
-        "missed_percent": 100 * float(np.mean([s.missed for s in scores])),
+    figures = {
+        "psnr_db": (1, [s.psnr_db for s in scores]),
+        "ssim": (1, [s.ssim for s in scores]),
+        "depth_l1_cm": (100, [s.depth_l1_m for s in scores]),
+        "missed_percent": (100, [s.missed for s in scores]),
     }
+    means = {
+        name: scale * float(np.mean(known))
+        for name, (scale, values) in figures.items()
+        if (known := [value for value in values if value is not None])
+    }
+    return {"views": len(scores), **means}
+
+
+def _mean(values: np.ndarray) -> float | None:
+    return float(values.mean()) if values.size else None
 
 
 def mesh_scores(vertices_m: np.ndarray, true_vertices_m: np.ndarray) -> dict[str, float]:

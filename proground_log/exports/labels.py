@@ -51,7 +51,7 @@ def label_surface(vertices: int, objects: Sequence[SceneObject], task: Task) -> 
 
     Args:
         vertices: how many there are.
-        objects: what `find_objects` found on that surface.
+        objects: what `Surface.objects` found on that surface.
         task: the one that the objects' labels are prompts of.
     """
     # The last row stands for no object, whose number is -1.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import pad
 
 from proground_log.bounds import Bounds
 from proground_log.field.config import FieldConfig, SemanticSpace
@@ -21,6 +22,8 @@ from proground_log.streams import stream
 
 ROOM_M3 = 150.0
 """A box of this size gets hash levels of 2^16 rows, as Co-SLAM gives the rooms of Replica."""
+LEAST_POINTS = 16
+"""Fewer are never asked: products of 5 to 11 rows differ in the last bit with torch's threads."""
 
 
 def log2_rows_for(bounds: Bounds) -> int:
@@ -83,7 +86,9 @@ class NeuralField(nn.Module):
 
     def forward(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Ask the field at normalised points [N, 3]; see `decode`."""
-        return self.decode(points, self.hash_features(points))
+        enough, count = _enough(points), len(points)
+        sdf, color = self.decode(enough, self.hash_features(enough))
+        return sdf[:count], color[:count]
 
     def decode(self, points: Tensor, hashed: Tensor) -> tuple[Tensor, Tensor]:
         """Decode normalised points [N, 3] and their hash features [N, 2 levels].
@@ -101,14 +106,22 @@ class NeuralField(nn.Module):
         self, points: Tensor, space: SemanticSpace
     ) -> tuple[Tensor, Tensor, PointFeatures]:
         """As `forward`, and what the semantic heads look at; nothing here gets a gradient."""
-        hashed, blob = self.hash_features(points), one_blob(points)
+        enough, count = _enough(points), len(points)
+        hashed, blob = self.hash_features(enough), one_blob(enough)
         geometry = self.decoders.geometry(hashed, blob)
         color, color_features = self.decoders.color(geometry, blob)
         sources = {"color": color_features, "geometry": geometry[:, 1:], "parametric": hashed}
         chosen = [sources[space.features]] if space.features in sources else []
         chosen += [blob] if space.coordinates else []
-        return geometry[:, 0], color, PointFeatures(torch.cat(chosen, dim=1), hashed, blob)
+        features = (torch.cat(chosen, dim=1), hashed, blob)
+        return geometry[:count, 0], color[:count], PointFeatures(*(f[:count] for f in features))
 
     def sdf(self, points: Tensor) -> Tensor:
         """SDF in units of the truncation, [N], of normalised points [N, 3]."""
-        return self.decoders.sdf(self.hash_features(points), one_blob(points))
+        enough = _enough(points)
+        return self.decoders.sdf(self.hash_features(enough), one_blob(enough))[: len(points)]
+
+
+def _enough(points: Tensor) -> Tensor:
+    """The points [N, 3], and the origin as often as it takes to make them `LEAST_POINTS`."""
+    return pad(points, (0, 0, 0, max(LEAST_POINTS - len(points), 0)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -19,7 +20,7 @@ from proground_log.errors import ProgroundError
 from proground_log.field.config import FieldConfig, SemanticSpace
 from proground_log.field.encodings import HashGridLayout
 from proground_log.field.neural_field import NeuralField
-from proground_log.field.semantic_heads import SemanticHeads
+from proground_log.field.semantic_heads import PointFeatures, SemanticHeads
 from proground_log.field.view import EmptySpace, RenderedView, render_view
 from proground_log.files import require_file, written_whole
 from proground_log.mapping.observed import BLOCK_M, ObservedSurface
@@ -75,15 +76,23 @@ class NeuralMap:
             antialias=antialias,
         )
 
-    def semantics_at(self, points_m: np.ndarray) -> Semantics:
-        """What the map means at points [N, 3] in world metres; the map must have semantics."""
+    def features_at(self, points_m: np.ndarray) -> Iterator[PointFeatures]:
+        """What the semantic heads look at, at points [N, 3] in world metres, some at a time.
+
+        The map must have semantics.
+        """
         assert self.semantics is not None
-        parts = []
         for part_m in torch.from_numpy(points_m.astype(np.float32)).split(POINTS_AT_ONCE):
             points, _ = self.field.normalise(part_m.to(self.field.table.device))
-            _, _, features = self.field.with_features(points, self.semantics.heads.space)
-            parts.append(self.semantics.decode(features))
-        return Semantics.concatenate(parts)
+            yield self.field.with_features(points, self.semantics.heads.space)[2]
+
+    def semantics_at(self, points_m: np.ndarray) -> Semantics:
+        """What the map means at points [N, 3] in world metres; the map must have semantics.
+
+        To compare with texts, `ask_map` is faster.
+        """
+        assert self.semantics is not None
+        return Semantics.concatenate(list(map(self.semantics.decode, self.features_at(points_m))))
 
     def sizes_bytes(self) -> dict[str, int]:
         """Size of each part of the map on disk."""

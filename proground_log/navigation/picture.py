@@ -76,7 +76,7 @@ def draw_route(
     axes.set_xlabel(f"{x_name} (m)")
     axes.set_ylabel(f"{y_name} (m)")
     axes.set_title(
-        f"{route.length_m:.2f} m, {route.turns} turns, "
+        f"{route.length_m:.2f} m, turns: {route.turns}, "
         f"at least {route.clearance_m.min():.2f} m clear (radius {route.radius_m:.2f} m)",
         fontsize=11,
     )

@@ -156,7 +156,8 @@ _CONCEPTS: dict[str, tuple[str, str]] = {
 }
 """By every name: its concept and the concept's family."""
 _NAMES = tuple(_CONCEPTS)
-_INDEX = NameIndex(_NAMES, "the built-in texts")
+_WHERE = "the built-in texts (others: perceive with --detector and --text-encoder or --vocabulary)"
+_INDEX = NameIndex(_NAMES, _WHERE)
 _ARTICLES = frozenset(("a", "an", "the"))
 _ADJECTIVES = frozenset(
     (

@@ -47,6 +47,6 @@ def _tokenizer() -> Tokenizer:
         raise ProgroundError(
             "needs the package instant-clip-tokenizer",
             where="the text encoder",
-            todo="run `pip install instant-clip-tokenizer`, or use a vocabulary file",
+            todo="run `pip install 'proground-log[text-encoder]'`, or use a vocabulary file",
         ) from error
     return Tokenizer()

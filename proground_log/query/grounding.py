@@ -7,8 +7,11 @@ fourth for "nothing was ever learnt here" (paper, Sec. 4.2 and 5.1).
 from __future__ import annotations
 
 import numpy as np
+import torch
 from scipy.special import expit, softmax
 
+from proground_log.mapping.map_file import NeuralMap
+from proground_log.mapping.semantic_map import SemanticMap
 from proground_log.perception.heads import TextHeads
 from proground_log.regions import LEVELS
 
@@ -22,7 +25,67 @@ mug for a cup, kitchen table for a dining table) lie 0.3 to 1.8 below its prompt
 its kind (stool for a chair, wine glass for a cup, sofa for a bed) from 2.1 on.
 """
 _BLOCK = 1024
-"""Vertices at once: their embeddings stay in the processor's cache."""
+"""Vertices at once: what is computed of them stays in the processor's cache."""
+
+
+@torch.no_grad()
+def ask_map(
+    content: NeuralMap, points_m: np.ndarray, texts: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """What a map says of texts at points: `vertex_logits` without ever making an embedding.
+
+    The semantic head and those of the detector are linear, so texts can be taken back through them
+    to the features of the field: 80 numbers a point take the place of 512.
+
+    Args:
+        content: a map with semantics.
+        points_m: [N, 3], world metres.
+        texts: float32 [K, 512], of length 1.
+
+    Returns:
+        Logits, float32 [N, K], and `background_probability`, float32 [N].
+    """
+    semantics = content.semantics
+    assert semantics is not None
+    taken_back = _taken_back(semantics, texts)
+    logits = np.empty((len(points_m), len(texts)), np.float32)
+    background = []
+    start = 0
+    for features in content.features_at(points_m):
+        scale_logits = semantics.heads.scale_logits(features).cpu().numpy()
+        uncertainty = semantics.heads.uncertainty_logits(features).sigmoid().cpu().numpy()
+        background.append(background_probability(scale_logits, uncertainty))
+        weights = softmax(scale_logits[:, :LEVELS], axis=1)[:, :, None]
+        ones = np.ones((len(weights), 1), np.float32)
+        codes = np.concatenate([features.space.cpu().numpy(), ones], axis=1)[:, None]
+        for first in range(0, len(codes), _BLOCK):
+            block = slice(first, first + _BLOCK)
+            # Side by side the codes times the weight of each level: the product with the texts
+            # adds up the levels as well.
+            weighed = (weights[block] * codes[block]).reshape(-1, len(taken_back))
+            # Not torch's product: its last columns depend on the number of threads.
+            np.matmul(weighed, taken_back, out=logits[start : start + len(weighed)])
+            start += len(weighed)
+    return logits, np.concatenate(background)
+
+
+def _taken_back(semantics: SemanticMap, texts: np.ndarray) -> np.ndarray:
+    """Texts [K, 512] as the field's features have them, float32 [3 (C + 1), K].
+
+    For each level what its logits make of the C features, then what they add to that: with the
+    semantic head W x + b, exp(logit_scale) W^T (scale t), and
+    exp(logit_scale) <scale b + shift, t> + bias.
+    """
+    heads = semantics.description.heads
+    weight = semantics.heads.semantic.detach().cpu().numpy().astype(np.float64)
+    bias = semantics.heads.semantic_bias.detach().cpu().numpy().astype(np.float64)
+    parts = []
+    for level in range(LEVELS):
+        scaled = np.exp(np.float64(heads.logit_scale[level])) * texts.T.astype(np.float64)
+        of_features = (weight.T * heads.scale[level]) @ scaled
+        constant = (heads.scale[level] * bias + heads.shift[level]) @ scaled + heads.bias[level]
+        parts += [of_features, constant[None]]
+    return np.concatenate(parts).astype(np.float32)
 
 
 def vertex_logits(

@@ -21,9 +21,7 @@ class Instance:
         position_m: float64 [3], world axes: the centre of its vertices, weighted by their scores;
             those outside its extent count at the extent's border.
         lower_m, upper_m: float64 [3], its extent: 2nd and 98th percentile of its vertices.
-        score: mean score of the better half of its n vertices, times n / (n + the least that a
-            thing must have). At its rim scores always fade, and a mean over all would count that
-            against small things; and a speck that is sure of itself must not come before a sofa.
+        score: how sure it is, up to 1 where it is a relevance.
         vertices: int64 [N], numbers of its vertices, rising.
     """
 
@@ -72,7 +70,7 @@ def find_instances(
     sizes = np.bincount(group)
     members = np.split(chosen[np.argsort(group, kind="stable")], np.cumsum(sizes)[:-1])
     found = [
-        _instance(vertices_m, scores, m, least_vertices)
+        instance_of(vertices_m, m, scores[m].astype(np.float64), _score(scores[m], least_vertices))
         for m in members
         if len(m) >= least_vertices
     ]
@@ -88,18 +86,29 @@ def _joined_by_faces(faces: np.ndarray, chosen: np.ndarray, count: int) -> np.nd
     return edges[(edges >= 0).all(axis=1)]
 
 
-def _instance(
-    vertices_m: np.ndarray, scores: np.ndarray, members: np.ndarray, least_vertices: int
+def instance_of(
+    vertices_m: np.ndarray, members: np.ndarray, weights: np.ndarray, score: float
 ) -> Instance:
+    """The thing that some vertices are.
+
+    Args:
+        vertices_m: [V, 3], world axes.
+        members: int64 [N], numbers of its vertices, rising.
+        weights: [N], how much each counts for its position.
+        score: how sure it is.
+    """
     points_m = vertices_m[members].astype(np.float64)
     lower_m, upper_m = np.percentile(points_m, EXTENT_PERCENTILES, axis=0)
-    weights = scores[members].astype(np.float64)
-    return Instance(
-        position_m=np.average(points_m.clip(lower_m, upper_m), axis=0, weights=weights),
-        lower_m=lower_m,
-        upper_m=upper_m,
-        score=float(np.sort(weights)[len(weights) // 2 :].mean())
-        * len(weights)
-        / (len(weights) + least_vertices),
-        vertices=members,
-    )
+    position_m = np.average(points_m.clip(lower_m, upper_m), axis=0, weights=weights)
+    return Instance(position_m, lower_m, upper_m, score, members)
+
+
+def _score(relevance: np.ndarray, least_vertices: int) -> float:
+    """Mean of the better half, less for what is small.
+
+    At its rim relevance always fades, and a mean over all would count that against small things;
+    and a speck that is sure of itself must not come before a sofa.
+    """
+    count = len(relevance)
+    better = np.sort(relevance)[count // 2 :]
+    return float(better.mean()) * count / (count + least_vertices)

@@ -19,6 +19,8 @@ from proground_log.query.attributes import COLORS, OTHER_WORDS
 from proground_log.query.relations import WORDS
 
 _ARTICLES = ("a", "an", "the")
+_THINGS_TOO = ("orange",)
+"""Names of colours that one may look for by themselves."""
 _RELATION = re.compile(rf"(?<!\S)({'|'.join(WORDS)})(?!\S)")
 _FORMS = 'ask for instance for "red chair", "chair, not sofa" or "cup on table"'
 
@@ -56,7 +58,8 @@ def parse_query(text: str, known: Collection[str] = ()) -> Query:
             "picture on wall" or "white board" is a prompt of the task, it is that thing.
 
     Raises:
-        ProgroundError: a part is missing, or "not" stands where nothing comes before it.
+        ProgroundError: a part is missing, a colour has no thing, or "not" stands where nothing
+            comes before it.
 
     >>> parse_query("a red cup, not mug, on the table").other
     Query(name='table', color=None, without=(), relation=None, other=None)
@@ -94,6 +97,9 @@ def _thing(words: str, whole: str, known: Collection[str]) -> Query:
         color, name = OTHER_WORDS.get(word, word), noun
     if not all((name, *without)) or name == "not" or name.startswith("not "):
         raise _fault("has a part that names no thing", whole)
+    if name not in known and OTHER_WORDS.get(name, name) in COLORS and name not in _THINGS_TOO:
+        todo = f'say of what, as in "{name} chair"'
+        raise ProgroundError("a colour needs a thing", where=f"query {whole!r}", todo=todo)
     return Query(name, color, tuple(without))
 
 

@@ -50,11 +50,13 @@ def extract_mesh(content: NeuralMap, voxel_m: float) -> Mesh:
     axes = [lower_m[i] + np.arange(counts[i]) * voxel_m for i in range(3)]
     near = observed.near_lattice(axes)
     sdf = np.ones(counts, np.float32)
-    # One slab at a time, so that memory stays small at fine voxels.
-    for i in np.flatnonzero(near.any(axis=(1, 2))):
-        j, k = np.nonzero(near[i])
-        points_m = np.stack([np.full(len(j), axes[0][i]), axes[1][j], axes[2][k]], axis=-1)
-        sdf[i, j, k] = _ask(field, points_m, colors=False)
+    # Some at a time, so that memory stays small at fine voxels; not slab by slab, since the hash
+    # grid is read once for all that are asked together.
+    asked = np.flatnonzero(near)
+    for start in range(0, len(asked), POINTS_AT_ONCE):
+        some = np.unravel_index(asked[start : start + POINTS_AT_ONCE], near.shape)
+        points_m = np.stack([axis_m[i] for axis_m, i in zip(axes, some, strict=True)], axis=-1)
+        sdf[some] = _ask(field, points_m, colors=False)
     try:
         vertices, faces, _, _ = marching_cubes(
             sdf,

@@ -14,7 +14,9 @@ from scipy.spatial.transform import Rotation
 from proground_log.events import MeshExtracted
 from proground_log.files import written_whole
 from proground_log.log.upright import nearest_axis
+from proground_log.query.boxes import OrientedBox
 from proground_log.telemetry.blueprint import BACKGROUND
+from proground_log.telemetry.boxes import boxes3d
 from proground_log.telemetry.rerun_sink import open_recording
 from proground_log.telemetry.surface import heat_colors, surface
 from proground_log.telemetry.upright import VIEW_COORDINATES
@@ -43,7 +45,7 @@ class PathDrawing:
         free_m: centres of the free cells of the floor, [F, 3].
         free_clearance_m: theirs, [F].
         cell_m: side of a cell.
-        box_m: lower and upper corner of the thing to go to, [2, 3], or None.
+        box: of the thing to go to, or None.
     """
 
     name: str
@@ -56,7 +58,7 @@ class PathDrawing:
     free_m: np.ndarray
     free_clearance_m: np.ndarray
     cell_m: float
-    box_m: np.ndarray | None
+    box: OrientedBox | None
 
 
 def write_path_recording(
@@ -107,19 +109,11 @@ def _log_way(recording: rr.RecordingStream, drawing: PathDrawing) -> None:
         colors=[START_COLOR, BOX_COLOR],
         radii=0.07,
         labels=["start", drawing.name],
-        show_labels=drawing.box_m is None,
+        show_labels=drawing.box is None,
     )
     recording.log("world/way/ends", ends, static=True)
-    if drawing.box_m is not None:
-        lower_m, upper_m = drawing.box_m
-        box = rr.Boxes3D(
-            centers=[(lower_m + upper_m) / 2],
-            half_sizes=[(upper_m - lower_m) / 2],
-            colors=BOX_COLOR,
-            labels=[drawing.name],
-            show_labels=True,
-            fill_mode=rr.components.FillMode.MajorWireframe,
-        )
+    if drawing.box is not None:
+        box = boxes3d([drawing.box], [drawing.name], BOX_COLOR)
         recording.log("world/way/goal", box, static=True)
 
 

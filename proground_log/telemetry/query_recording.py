@@ -12,8 +12,10 @@ import rerun.blueprint as rrb
 
 from proground_log.events import MeshExtracted
 from proground_log.files import written_whole
-from proground_log.log.upright import nearest_axis, up_direction
+from proground_log.log.upright import nearest_axis
+from proground_log.query.boxes import OrientedBox
 from proground_log.telemetry.blueprint import BACKGROUND
+from proground_log.telemetry.boxes import boxes3d
 from proground_log.telemetry.rerun_sink import open_recording
 from proground_log.telemetry.surface import heat_colors, surface
 from proground_log.telemetry.upright import VIEW_COORDINATES
@@ -31,14 +33,13 @@ class QueryDrawing:
     Args:
         query: what was looked for.
         heat: float [V] in [0, 1], of the mesh's vertices; 0 is what the query leaves cold.
-        lower_m, upper_m: float [N, 3], boxes of what was found, world axes.
-        labels: N of them.
+        boxes: of the N things found.
+        labels: theirs.
     """
 
     query: str
     heat: np.ndarray
-    lower_m: np.ndarray
-    upper_m: np.ndarray
+    boxes: Sequence[OrientedBox]
     labels: list[str]
 
 
@@ -47,8 +48,7 @@ def write_query_recording(
     recording_id: str,
     mesh: MeshExtracted,
     drawings: Sequence[QueryDrawing],
-    *,
-    world_from_camera: np.ndarray | None,
+    up: np.ndarray,
 ) -> None:
     """Write an .rrd file that opens with a tab for each query.
 
@@ -57,25 +57,17 @@ def write_query_recording(
         recording_id: tells it from others in one viewer.
         mesh: the map's surface.
         drawings: one a query.
-        world_from_camera: a pose [4, 4] that says which way is up; z is where it is None.
+        up: the world's upward direction [3].
     """
     recording = open_recording(recording_id)
     # Rerun's own file sink waits forever once a disk is full: the bytes are written here.
     stream = rr.binary_stream(recording)
     recording.send_blueprint(_blueprint([drawing.query for drawing in drawings]))
-    up = np.array([0, 0, 1]) if world_from_camera is None else up_direction(world_from_camera[None])
     recording.log("world", VIEW_COORDINATES[nearest_axis(up)], static=True)
     for number, drawing in enumerate(drawings):
         colors = _glowing(mesh.colors, drawing.heat)
         recording.log(f"world/map/relevance/{number}", surface(mesh, colors), static=True)
-        boxes = rr.Boxes3D(
-            centers=(drawing.lower_m + drawing.upper_m) / 2,
-            half_sizes=(drawing.upper_m - drawing.lower_m) / 2,
-            colors=BOX_COLOR,
-            labels=drawing.labels,
-            show_labels=True,
-            fill_mode=rr.components.FillMode.MajorWireframe,
-        )
+        boxes = boxes3d(drawing.boxes, drawing.labels, BOX_COLOR)
         recording.log(f"world/found/{number}", boxes, static=True)
     content = stream.read(flush=True)
     recording.disconnect()

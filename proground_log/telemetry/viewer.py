@@ -70,6 +70,9 @@ def screenshot(
 
     Returns:
         What the views report as wrong. A view that has no data at all reports nothing.
+
+    Raises:
+        ProgroundError: a path is neither, or the viewer does not start.
     """
     port = _free_port()
     window = f"{size[0]}x{size[1]}"
@@ -91,6 +94,9 @@ def screenshot(
                 time.sleep(SETTLE_S)
                 output_png.write_bytes(client.take_screenshot())
                 views = client.get_state().views
+            except ConnectionError as error:
+                # Without a driver it answers at first, and ends once it has to draw.
+                raise _not_started() from error
             finally:
                 # The command is a wrapper round the viewer: both have to go.
                 os.killpg(process.pid, signal.SIGKILL)
@@ -155,7 +161,11 @@ def _connect(port: int, process: subprocess.Popen[bytes]) -> ViewerClient:
             return client
         except (RuntimeError, ConnectionError):
             time.sleep(0.2)
-    raise ProgroundError(
+    raise _not_started()
+
+
+def _not_started() -> ProgroundError:
+    return ProgroundError(
         "the headless rerun viewer did not start",
         where="rerun --headless",
         todo="install a Vulkan driver (Debian: mesa-vulkan-drivers libvulkan1)",

@@ -7,7 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from proground_log.evaluation.instance_scores import InstanceScores, score_instances
+from proground_log.evaluation.instance_scores import (
+    InstanceScores,
+    find_crowds,
+    score_instances,
+)
 from proground_log.streams import stream
 
 ROW_M = np.stack([np.arange(40) * 0.2, np.zeros(40), np.zeros(40)], axis=1)
@@ -96,3 +100,72 @@ def test_matches_are_those_of_the_definition(seed: int, kinds: int) -> None:
     assert scores.total.matched == {x: sum(iou >= x for iou in ious) for x in (0.25, 0.5)}
     for iou in (0.25, 0.5):
         assert sum(c.matched[iou] for c in scores.classes.values()) == scores.total.matched[iou]
+
+
+def crowds(objects: list[int], classes: list[str], nearer_than_m: float = 0.3) -> set[int]:
+    numbers = np.array((objects + [-1] * 40)[:40])
+    return set(find_crowds(ROW_M, numbers, classes, nearer_than_m))
+
+
+def test_three_of_a_class_in_a_row_are_a_crowd_and_two_are_not() -> None:
+    assert crowds([0, 0, 1, 1, 2, 2], ["book"] * 3) == {0, 1, 2}
+    assert crowds([0, 0, 1, 1], ["book"] * 2) == set()
+    # Something else between them, nothing between them, or another class beside them.
+    assert crowds([0, 1, 2, 3], ["book", "book", "cup", "book"]) == set()
+    assert crowds([0, 0, 1, 1, -1, 2, 2], ["book"] * 3) == set()
+    assert crowds([3, 0, 1, 2, 4, -1, 5], ["book"] * 3 + ["cup"] * 2 + ["book"]) == {0, 1, 2}
+    assert crowds([], []) == set()
+
+
+def test_neighbours_are_as_near_as_is_said() -> None:
+    for gap_m, found in ((0.199, set()), (0.201, {0, 1, 2})):
+        assert crowds([0, 1, 2], ["book"] * 3, gap_m) == found
+
+
+def test_a_row_is_a_chain_and_may_bend() -> None:
+    points_m = np.array([[0.0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0.1, 0.1, 0.1], [5, 5, 5]])
+    found = find_crowds(points_m, np.arange(5), ["book"] * 5, 0.11)
+    assert found == {0, 1, 2, 3}
+
+
+SHELF = [0, 0, 1, 1, 2, 2, 3, 3, 3, 3]
+"""Three books in a row, and a cup."""
+CLASSES = ["book", "book", "book", "cup"]
+
+
+def shelf_scores(objects: list[int], names: list[str]) -> InstanceScores:
+    true, found = (np.array((row + [-1] * 40)[:40]) for row in (SHELF, objects))
+    return score_instances(ROW_M, true, CLASSES, ROW_M, found, names, crowds={0, 1, 2})
+
+
+def test_what_is_found_on_a_crowd_is_neither_right_nor_wrong() -> None:
+    found = [[0] * 6 + [1] * 4, [0, 0, 1, 1, 2, 2] + [3] * 4, [-1] * 6 + [0] * 4]
+    names = [["book", "cup"], CLASSES, ["cup"]]
+    for objects, classes in zip(found, names, strict=True):
+        scores = shelf_scores(objects, classes)
+        assert (scores.total.true, scores.total.found) == (1, 1)
+        assert scores.total.matched == {0.25: 1, 0.5: 1}
+        assert scores.classes["cup"].f1(0.5) == 1
+        # A class that stands in crowds alone has no F1 of its own.
+        assert scores.macro_f1(0.5) == 1
+
+
+def test_another_class_on_a_crowd_and_what_lies_mostly_elsewhere_are_wrong() -> None:
+    scores = shelf_scores([0] * 6 + [1] * 4, ["cup", "cup"])
+    assert (scores.total.found, scores.total.matched[0.5]) == (2, 1)
+    for beside, ignored in ((1, True), (2, False), (3, False)):
+        row = [0, 0] + [-1] * 8 + [0] * beside
+        scores = shelf_scores(row, ["book"])
+        assert scores.total.found == (not ignored)
+
+
+def test_a_book_that_stands_alone_is_judged_beside_a_crowd() -> None:
+    true = np.array([0, 0, 1, 1, 2, 2, -1, -1, 3, 3] + [-1] * 30)
+    # What is claimed lies on the lone book as well as, for the most part, on the crowd.
+    found = np.array([-1] * 3 + [0, 0, 0, -1, -1, 0, 0] + [-1] * 30)
+    books = ["book"] * 4
+    lonely = find_crowds(ROW_M, true, books, 0.3)
+    scores = score_instances(
+        ROW_M, true, books, ROW_M, found, ["book"], crowds=lonely, ious=(0.25,)
+    )
+    assert (scores.total.true, scores.total.found, scores.total.matched) == (1, 1, {0.25: 1})

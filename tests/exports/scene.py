@@ -43,7 +43,7 @@ def scene_objects(mesh: Mesh) -> list[SceneObject]:
         points_m = mesh.vertices_m[vertices].astype(np.float64)
         lower_m, upper_m = points_m.min(axis=0), points_m.max(axis=0)
         thing = Instance((lower_m + upper_m) / 2, lower_m, upper_m, score, vertices)
-        found.append(SceneObject(label, thing, box_around(points_m, UP)))
+        found.append(SceneObject(label, thing, box_around(points_m, UP), vertices))
     return found
 
 

@@ -18,6 +18,7 @@ from proground_log.exports.openlex3d import FILES
 from proground_log.field.config import FieldConfig
 from proground_log.log.reader import LogReader
 from proground_log.mapping.config import MapperConfig, SamplingConfig, SemanticsConfig
+from proground_log.navigation.floor_plan import CELL_M
 from proground_log.perception.simulated import SimulatedPerception
 from proground_log.perception.task import Task
 from proground_log.query.grounding import BACKGROUND, background_probability
@@ -124,7 +125,7 @@ def test_the_others_are_written_and_say_what_is_in_them(
 ) -> None:
     for what, name, says in (
         ("mesh", "map.glb", "faces"),
-        ("occupancy", "floor.yaml", "cells of 0.05 m"),
+        ("occupancy", "floor.yaml", f"cells of {CELL_M} m"),
         ("mcap", "map.mcap", "objects"),
     ):
         path = tmp_path / name

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from proground_log.bounds import Bounds
-from proground_log.field.config import FieldConfig
+from proground_log.field.config import FieldConfig, SemanticSpace
 from proground_log.field.encodings import hash_grid_torch
-from proground_log.field.neural_field import NeuralField, log2_rows_for
+from proground_log.field.neural_field import LEAST_POINTS, NeuralField, log2_rows_for
 from proground_log.streams import stream
 
 FLAT = Bounds((-3.0, 1.0, -0.5), (5.0, 5.0, 0.5))
@@ -92,3 +92,22 @@ def test_rows_of_the_hash_grid_grow_with_the_volume_within_limits() -> None:
     assert rows(20, 10, 3) == 18
     assert rows(100, 100, 10) == 18
     assert NeuralField(FieldConfig(levels=4), FLAT, 0).layout.log2_rows == 16
+
+
+@pytest.mark.parametrize("count", [*range(1, 13), LEAST_POINTS + 1])
+def test_few_points_get_the_same_answer_at_any_number_of_threads(count: int) -> None:
+    field = field_of(FieldConfig(log2_rows=10, levels=4))
+    points = torch.from_numpy(stream(2, "test points").random((count, 3), dtype=np.float32))
+    threads, answers = torch.get_num_threads(), []
+    try:
+        for number in (1, 2, 4):
+            torch.set_num_threads(number)
+            with torch.no_grad():
+                sdf, color, features = field.with_features(points, SemanticSpace())
+                answer = [*field(points), field.sdf(points), sdf, color, *vars(features).values()]
+            assert all(len(part) == count for part in answer)
+            answers.append([part.numpy().tobytes() for part in answer])
+    finally:
+        torch.set_num_threads(threads)
+    assert answers[1] == answers[0]
+    assert answers[2] == answers[0]

@@ -70,8 +70,9 @@ def test_adjectives_shift_a_name_and_articles_and_plurals_do_not() -> None:
 @pytest.mark.parametrize(("unknown", "near"), [("soffa", "sofa"), ("a red wardrob", "wardrobe")])
 def test_an_unknown_word_is_an_error_that_names_its_neighbours(unknown: str, near: str) -> None:
     assert not TEXTS.knows(unknown)
-    with pytest.raises(ProgroundError, match=repr(near)):
+    with pytest.raises(ProgroundError, match=repr(near)) as caught:
         TEXTS.embed(["chair", unknown])
+    assert "--detector and --text-encoder or --vocabulary" in caught.value.where
 
 
 def test_it_knows_every_class_of_the_room() -> None:

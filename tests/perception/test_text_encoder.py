@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from tiny_encoders import write_text_encoder
 from proground_log.errors import ProgroundError
 from proground_log.perception.onnx_session import OnnxModel, open_session
 from proground_log.perception.text_encoder import OnnxTextEncoder
-from proground_log.perception.tokenizer import CONTEXT, END, START, tokens
+from proground_log.perception.tokenizer import CONTEXT, END, START, _tokenizer, tokens
 from proground_log.perception.vocabulary import Vocabulary, build_vocabulary
 
 
@@ -66,6 +67,13 @@ def test_the_longest_text_fits_and_one_more_word_does_not() -> None:
     assert tokens("cat " * 75)[-1] == END
     with pytest.raises(ProgroundError, match=r"76 tokens.*at most 75"):
         tokens("cat " * 76)
+
+
+def test_a_missing_tokenizer_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "instant_clip_tokenizer", None)
+    _tokenizer.cache_clear()
+    with pytest.raises(ProgroundError, match=r"pip install 'proground-log\[text-encoder\]'"):
+        tokens("cat")
 
 
 def test_an_embedding_is_the_networks_for_the_sentence_at_length_1(tmp_path: Path) -> None:

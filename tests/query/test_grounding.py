@@ -9,11 +9,23 @@ import sys
 
 import numpy as np
 import pytest
+import torch
 from scipy.special import expit
 
+from proground_log.bounds import Bounds
+from proground_log.field.config import FieldConfig, SemanticSpace
+from proground_log.field.neural_field import NeuralField
+from proground_log.field.semantic_heads import SemanticHeads
+from proground_log.mapping import map_file
+from proground_log.mapping.map_file import NeuralMap
+from proground_log.mapping.observed import ObservedSurface
+from proground_log.mapping.semantic_map import SemanticMap
+from proground_log.perception.description import PerceptionDescription
 from proground_log.perception.heads import TextHeads
+from proground_log.perception.task import Task
 from proground_log.query import grounding
 from proground_log.query.grounding import (
+    ask_map,
     background_probability,
     relevance_to,
     vertex_logits,
@@ -69,23 +81,98 @@ def test_a_sure_level_is_read_by_its_own_head_whatever_the_background() -> None:
         np.testing.assert_allclose(logits, heads().logits(embeddings, level, texts), atol=1e-3)
 
 
-def test_logits_do_not_depend_on_the_number_of_threads() -> None:
-    program = (
-        "import sys; from tests.query.test_grounding import *\n"
-        "print(hashlib.sha256(vertex_logits(*vertices(3000), heads(), unit_texts(70))).hexdigest())"
+BOUNDS = Bounds((-1.0, 0.0, 2.0), (1.0, 3.0, 4.0))
+
+
+def random_map(space: SemanticSpace) -> NeuralMap:
+    """A map of which no parameter is 0, so that all of them count."""
+    draw = stream(6, "map")
+    field = NeuralField(FieldConfig(log2_rows=10, levels=4), BOUNDS, seed=0)
+    semantic_heads = SemanticHeads(space, field.hash_width, seed=0)
+    with torch.no_grad():
+        for parameter in (field.table, *semantic_heads.parameters()):
+            values = draw.normal(size=parameter.shape).astype(np.float32)
+            parameter.add_(torch.from_numpy(values))
+    description = PerceptionDescription(Task("room", ("chair",)), unit_texts(1), heads(), {})
+    return NeuralMap(field, ObservedSurface(BOUNDS), SemanticMap(semantic_heads, description))
+
+
+def points(count: int) -> np.ndarray:
+    """Points in the map's bounds, in metres."""
+    return stream(7, "points", count).uniform(BOUNDS.lower_m, BOUNDS.upper_m, (count, 3))
+
+
+@pytest.mark.parametrize(
+    "space",
+    [
+        SemanticSpace(),
+        SemanticSpace("geometry", coordinates=False),
+        SemanticSpace("parametric"),
+        SemanticSpace("none"),
+    ],
+)
+def test_a_map_is_asked_without_embeddings_as_its_embeddings_would_answer(
+    space: SemanticSpace,
+) -> None:
+    content, texts = random_map(space), unit_texts(5)
+    points_m = points(grounding._BLOCK + 7)
+    semantics = content.semantics_at(points_m)
+    probability = np.exp(semantics.scale_logits.astype(np.float64))[:, :3]
+    probability /= probability.sum(axis=1, keepdims=True)
+    expected = np.sum(
+        [
+            probability[:, [level]] * heads().logits(semantics.embeddings, level, texts)
+            for level in range(3)
+        ],
+        axis=0,
     )
-    digests = {
-        subprocess.run(
+    logits, background = ask_map(content, points_m, texts)
+    assert logits.dtype == background.dtype == np.float32
+    np.testing.assert_allclose(logits, expected, atol=1e-4)
+    assert expected.std() > 1
+    np.testing.assert_allclose(
+        background,
+        background_probability(semantics.scale_logits, semantics.uncertainty),
+        atol=1e-6,
+    )
+
+
+def test_each_point_gets_its_own_answer_however_many_are_asked(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    content, texts = random_map(SemanticSpace()), unit_texts(3)
+    points_m = points(2 * grounding._BLOCK + 7)
+    whole = ask_map(content, points_m, texts)
+    # Parts that are no whole blocks, the last one shorter.
+    monkeypatch.setattr(map_file, "POINTS_AT_ONCE", 900)
+    monkeypatch.setattr(grounding, "_BLOCK", 400)
+    for of_parts, of_whole in zip(ask_map(content, points_m, texts), whole, strict=True):
+        np.testing.assert_allclose(of_parts, of_whole, atol=1e-5)
+    logits, background = ask_map(content, points_m[:0], texts)
+    assert logits.shape == (0, 3)
+    assert background.shape == (0,)
+
+
+def digests() -> list[str]:
+    """Of logits from embeddings and from a map, and of the background."""
+    texts = unit_texts(70)
+    content = random_map(SemanticSpace())
+    answers = vertex_logits(*vertices(3000), heads(), texts), *ask_map(content, points(3000), texts)
+    return [hashlib.sha256(answer.tobytes()).hexdigest() for answer in answers]
+
+
+def test_answers_do_not_depend_on_the_number_of_threads() -> None:
+    program = "from tests.query.test_grounding import digests; print(*digests())"
+    variables = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
+    for threads in ("1", "4"):
+        there = subprocess.run(
             [sys.executable, "-c", program],
-            env={**os.environ, "OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads},
+            env={**os.environ, **dict.fromkeys(variables, threads)},
             capture_output=True,
             text=True,
             check=True,
         ).stdout
-        for threads in ("1", "2", "5")
-    }
-    here = vertex_logits(*vertices(3000), heads(), unit_texts(70))
-    assert digests == {hashlib.sha256(here).hexdigest() + "\n"}
+        assert there.split() == digests()
 
 
 def test_background_is_what_two_heads_think() -> None:

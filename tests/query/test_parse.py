@@ -47,6 +47,7 @@ def test_a_known_name_is_one_word_whatever_it_says() -> None:
         "cup", relation="near", other=Query("picture on wall")
     )
     assert parse_query("black picture on wall", known) == Query("picture on wall", "black")
+    assert parse_query("red", ("red",)) == Query("red")
     assert parse_query("white board", ()) == Query("board", "white")
 
 
@@ -65,6 +66,9 @@ def test_the_names_of_a_question_are_all_that_need_an_embedding() -> None:
         ("chair, sofa", "only 'not' can be"),
         ("chair, not the", "names no thing"),
         ("the", "names no thing"),
+        ("red", "query 'red': a colour needs a thing; say of what, as in \"red chair\""),
+        ("a Grey", "a colour needs a thing"),
+        ("cup on the white", "a colour needs a thing"),
     ],
 )
 def test_what_cannot_be_read_is_refused(text: str, message: str) -> None:

@@ -23,6 +23,13 @@ def test_each_format_refuses_an_empty_folder(name: str, tmp_path: Path) -> None:
         open_source(name, folder)
 
 
+@pytest.mark.parametrize("name", [name for name, each in FORMATS.items() if each.takes_source])
+def test_what_is_not_there_is_the_same_error_for_each_format(name: str, tmp_path: Path) -> None:
+    with pytest.raises(ProgroundError) as caught:
+        open_source(name, tmp_path / "nosuch")
+    assert str(caught.value) == f"{tmp_path}/nosuch: no such folder or file; check the path"
+
+
 def test_an_unknown_format_lists_the_valid_ones(tmp_path: Path) -> None:
     with pytest.raises(ProgroundError, match="did you mean seven-scenes\\?") as caught:
         open_source("sevenscenes", tmp_path)

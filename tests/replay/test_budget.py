@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from collections import Counter
@@ -24,8 +25,9 @@ from replay.ledger import read_ledger
 from replay.manifest import Manifest
 from replay.plan import Plan
 from replay.run_folder import RunFolder
-from replay.session import ReplayStoppedError, replay
-from tests.replay.golden import CASES, COST, perceiver_of, under
+from replay.session import ReplayStoppedError, cost_model_of, replay
+from tests.commands import Pglog
+from tests.replay.golden import CASES, COST, SMALL, perceiver_of, under
 
 QUIET = TelemetryConfig(enabled=False)
 OVERLOADED = replace(CASES["drop_oldest"], telemetry=QUIET)
@@ -111,6 +113,59 @@ def test_a_slower_machine_has_no_time_for_a_step(room_log: Path, tmp_path: Path)
     assert all(entry["steps"] == 0 for entry in slow)
     assert not entries_of(tmp_path / "run", "step")
     assert all(e["spans"]["decode"][1] - e["spans"]["decode"][0] == 20_000_000 for e in slow)
+
+
+@pytest.mark.parametrize(
+    ("settings", "perceives", "least_ms"),
+    [
+        # 5 ms to decode, 4 to insert and 18.704 a step; the figure is a whole number.
+        ({}, False, 28),
+        ({"cost_scale": 4.0}, False, 111),
+        # 50 to perceive, 1 to learn and 2 more a step.
+        ({}, True, 101),
+        ({"perceive_every": 2}, True, 30),
+    ],
+)
+def test_a_budget_without_a_step_is_warned_of_with_the_least_that_has_one(
+    room_log: Path, settings: dict[str, Any], perceives: bool, least_ms: int
+) -> None:
+    reader = LogReader(room_log)
+
+    def plan_of(budget_ms: float) -> Plan:
+        config = under(budget_ms=budget_ms, **settings)
+        return Plan(reader, config, cost_model_of(config), perceives=perceives)
+
+    warning = plan_of(least_ms - 1).warning()
+    assert warning is not None
+    assert warning.startswith(f"--budget-ms {least_ms - 1}: no step fits (one takes ")
+    assert warning.endswith(f"the map will learn nothing; give {least_ms} or more")
+    enough = plan_of(least_ms)
+    assert enough.warning() is None
+    assert any(turn.slot.steps for turn in enough.turns() if turn.slot is not None)
+
+
+def test_without_a_budget_there_is_nothing_to_warn_of(room_log: Path) -> None:
+    config = replace(SMALL, steps=0)
+    assert (
+        Plan(LogReader(room_log), config, cost_model_of(config), perceives=False).warning() is None
+    )
+
+
+def test_the_command_warns_before_and_after(room_log: Path, tmp_path: Path, pglog: Pglog) -> None:
+    run = tmp_path / "run"
+    flags = ["--telemetry.no-enabled", "--mapper.sampling.rays", 64, "--max-frames", 2]
+    answer = pglog("replay", room_log, "-o", run, *flags, "--budget-ms", 5)
+    assert answer.code == 0
+    before, after = (line for line in answer.err.splitlines() if "warning" in line)
+    assert re.fullmatch(
+        r"pglog: warning: --budget-ms 5: no step fits \(one takes 12.4 ms by epyc-2-threads, "
+        r"reading and inserting 9.1 ms\); the map will learn nothing; give 22 or more",
+        before,
+    )
+    assert after == f"pglog: warning: {run}: no step was done; the map has learnt nothing"
+    assert answer.err.index(before) < answer.err.index("2/2") < answer.err.index(after)
+    enough = pglog("replay", room_log, "-o", tmp_path / "enough", *flags, "--budget-ms", 22)
+    assert (enough.code, "warning" in enough.err) == (0, False)
 
 
 def test_any_checkpoint_goes_on_to_the_same_ledger(

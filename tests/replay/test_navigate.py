@@ -21,9 +21,10 @@ from proground_log.navigation.floor_plan import Robot
 from proground_log.perception.perceive import perceive
 from proground_log.perception.simulated import SimulatedPerception
 from recorders.room import RoomSource
-from replay.navigate import Journey, draw_journey, navigate_run
+from replay.navigate import Journey, draw_journey, navigate_run, navigate_surface
+from replay.objects import surface_of_run
 from replay.session import replay
-from tests.replay.test_query import CONFIG, TASK
+from tests.replay.test_query import CONFIG, TASK, without_log
 
 VOXEL_M = 0.06
 ROBOT = Robot()
@@ -69,21 +70,24 @@ def test_a_way_to_a_thing_ends_beside_it_and_touches_nothing(
 def test_a_place_needs_no_meaning_and_no_log(run: Path, to_bed: Journey, tmp_path: Path) -> None:
     goal_m = to_bed.route.corners_m[-1]
     goal = (float(goal_m[0]), float(goal_m[1]))
-    there = navigate_run(run, START, goal, ROBOT, VOXEL_M, log_path=tmp_path / "gone.mcap")
+    there = navigate_run(without_log(run, tmp_path), START, goal, ROBOT, VOXEL_M)
     np.testing.assert_allclose(there.route.corners_m[-1], goal_m)
     assert there.thing is None
     assert there.route.length_m == pytest.approx(to_bed.route.length_m, rel=0.05)
 
 
 def test_what_cannot_be_found_or_reached_is_refused(run: Path) -> None:
+    surface = surface_of_run(run, VOXEL_M)
     with pytest.raises(ProgroundError, match="nothing like 'toilet'"):
-        navigate_run(run, START, "toilet", ROBOT, VOXEL_M)
+        navigate_surface(surface, START, "toilet", ROBOT)
     with pytest.raises(ProgroundError, match="outside the map"):
-        navigate_run(run, START, (40.0, 1.0), ROBOT, VOXEL_M)
+        navigate_surface(surface, START, (40.0, 1.0), ROBOT)
     with pytest.raises(ProgroundError, match="the robot cannot be there: something stands"):
-        navigate_run(run, (1.0, 4.2), "bed", ROBOT, VOXEL_M)
+        navigate_surface(surface, (1.0, 4.2), "bed", ROBOT)
     with pytest.raises(ProgroundError, match="voxels"):
         navigate_run(run, START, "bed", ROBOT, 0.0)
+    with pytest.raises(ProgroundError, match="is not there"):
+        navigate_run(run, START, "bed", ROBOT, VOXEL_M, log_path=run / "gone.mcap")
     with pytest.raises(ProgroundError, match="--from"):
         navigate_command(run, start="here", to="bed")
 

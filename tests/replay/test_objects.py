@@ -13,19 +13,26 @@ import pytest
 
 from proground_log.cli.objects import objects_command
 from proground_log.errors import ProgroundError
+from proground_log.evaluation.instance_scores import InstanceCounts, InstanceScores
 from proground_log.log.reader import LogReader
+from proground_log.log.registration import Registration
+from proground_log.mapping.map_file import load_map
 from proground_log.perception.perceive import perceive
 from proground_log.perception.simulated import SimulatedPerception
 from proground_log.query.objects import SceneObject
+from proground_log.query.objects_of_labels import objects_of_labels
+from proground_log.query.sightings import find_sightings
 from recorders.room import RoomSource
 from replay.evaluate import evaluate_run
-from replay.manifest import Manifest
-from replay.objects import objects_of_run
+from replay.evaluate_objects import ObjectScores, object_table
+from replay.objects import object_rows, surface_of_run
 from replay.run_folder import RunFolder
 from replay.session import replay
-from tests.replay.test_query import CONFIG, TASK
+from replay.surface import surface_of
+from tests.replay.test_query import CONFIG, TASK, without_log
 
 VOXEL_M = 0.06
+UP = np.array([0.0, 0.0, 1.0])
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +50,7 @@ def run(room_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def objects(run: Path) -> list[SceneObject]:
-    return objects_of_run(run, VOXEL_M)
+    return surface_of_run(run, VOXEL_M).objects
 
 
 def overlap(thing: SceneObject, class_name: str) -> float:
@@ -78,19 +85,46 @@ def test_they_come_in_the_order_of_prompts_and_scores(objects: list[SceneObject]
     assert keys == sorted(keys)
 
 
-def test_without_its_log_a_run_lists_the_same_but_for_views(
-    run: Path, objects: list[SceneObject], tmp_path: Path
+def test_without_its_log_a_run_lists_what_its_map_alone_tells_apart(
+    run: Path, tmp_path: Path
 ) -> None:
-    shutil.copytree(run, tmp_path / "run")
-    manifest = Manifest.read(RunFolder(run).manifest)
-    replace(manifest, log_path="/nowhere.mcap").write(RunFolder(tmp_path / "run").manifest)
-    alone = objects_of_run(tmp_path / "run", VOXEL_M)
-    assert [thing.views for thing in alone] == [None] * len(objects)
-    for mine, other in zip(alone, objects, strict=True):
+    elsewhere = without_log(run, tmp_path)
+    surface = surface_of(RunFolder(run), load_map(RunFolder(run).map), VOXEL_M, None)
+    logits, background = surface.ask(surface.description.texts)
+    of_map = objects_of_labels(surface.mesh, logits, background, TASK.prompts, UP, VOXEL_M)
+    listed = surface_of_run(elsewhere, VOXEL_M).objects
+    assert [thing.views for thing in listed] == [None] * len(of_map)
+    for mine, other in zip(listed, of_map, strict=True):
+        assert mine.label == other.label
         np.testing.assert_array_equal(mine.instance.vertices, other.instance.vertices)
         np.testing.assert_array_equal(mine.box.centre_m, other.box.centre_m)
+    for class_name in ("sofa", "bed"):
+        assert max(overlap(t, class_name) for t in listed if t.label == class_name) > 0.3
     with pytest.raises(ProgroundError, match="nowhere"):
-        objects_of_run(tmp_path / "run", VOXEL_M, Path("/nowhere.mcap"))
+        surface_of_run(elsewhere, VOXEL_M, Path("/nowhere.mcap"))
+
+
+def test_a_log_that_has_moved_gives_the_same_objects(
+    run: Path, objects: list[SceneObject], tmp_path: Path
+) -> None:
+    moved = tmp_path / "moved.mcap"
+    shutil.copy(run.with_name("seen.mcap"), moved)
+    found = surface_of_run(without_log(run, tmp_path), VOXEL_M, moved).objects
+    assert object_rows(found) == object_rows(objects)
+
+
+def test_only_frames_that_the_run_learnt_from_are_asked(run: Path, tmp_path: Path) -> None:
+    log = LogReader(run.with_name("seen.mcap"))
+    few = replace(CONFIG, steps=3, max_frames=6, hold_out_every=3)
+    replay(run.with_name("seen.mcap"), tmp_path / "run", few)
+    folder = RunFolder(tmp_path / "run")
+    surface = surface_of(folder, load_map(folder.map), VOXEL_M, log)
+    assert surface.sightings is not None
+    frames = map(Registration(log.calibration), log.frames([0, 1, 3, 4]))
+    expected = find_sightings(surface.mesh.vertices_m, frames, VOXEL_M)
+    assert surface.sightings.seen.shape[1] == 4
+    np.testing.assert_array_equal(surface.sightings.seen.indices, expected.seen.indices)
+    np.testing.assert_array_equal(surface.sightings.embeddings, expected.embeddings)
 
 
 def test_table_json_and_csv_say_the_same(
@@ -129,11 +163,37 @@ def test_evaluate_judges_them_by_the_log_s_own_mesh(run: Path) -> None:
     )
 
 
+def test_crowds_have_a_figure_of_their_own_where_there_are_some() -> None:
+    def counts(true: int, found: int, matched: int) -> InstanceCounts:
+        return InstanceCounts(true, found, {0.25: matched, 0.5: matched // 2})
+
+    alone = InstanceScores(counts(10, 5, 4), {"cup": counts(8, 4, 4), "bed": counts(2, 1, 0)})
+    crowded = InstanceScores(counts(40, 10, 5), {})
+    table = object_table(ObjectScores(alone, crowded, in_crowds=30))
+    assert (table["true_objects"], table["found_objects"], table["objects_in_crowds"]) == (
+        10,
+        5,
+        30,
+    )
+    at = "at_iou_{}_percent".format
+    assert table[f"object_precision_{at(25)}"] == pytest.approx(80)
+    assert table[f"object_recall_{at(25)}"] == pytest.approx(40)
+    assert table[f"object_f1_{at(25)}"] == pytest.approx(100 * 8 / 15)
+    assert table[f"object_f1_{at(50)}"] == pytest.approx(100 * 4 / 15)
+    assert table[f"object_f1_macro_{at(25)}"] == pytest.approx(100 * (8 / 12 + 0) / 2)
+    assert table[f"object_f1_with_crowds_{at(25)}"] == pytest.approx(100 * 10 / 50)
+    without = object_table(ObjectScores(alone, alone, in_crowds=0))
+    assert set(table) - set(without) == {
+        "objects_in_crowds",
+        *(f"object_f1_with_crowds_{at(iou)}" for iou in (25, 50)),
+    }
+
+
 def test_what_has_no_objects_to_list_is_refused(run: Path, room_log: Path, tmp_path: Path) -> None:
     with pytest.raises(ProgroundError, match="voxels"):
-        objects_of_run(run, 0.0)
+        surface_of_run(run, 0.0)
     with pytest.raises(ProgroundError, match="no such run"):
-        objects_of_run(tmp_path / "none", VOXEL_M)
+        surface_of_run(tmp_path / "none", VOXEL_M)
     replay(room_log, tmp_path / "run", replace(CONFIG, max_frames=1, steps=1))
     with pytest.raises(ProgroundError, match="pglog perceive"):
-        objects_of_run(tmp_path / "run", VOXEL_M)
+        surface_of_run(tmp_path / "run", VOXEL_M)

@@ -31,7 +31,8 @@ from proground_log.perception.perceive import perceive
 from proground_log.perception.simulated import SimulatedPerception
 from proground_log.perception.task import Task
 from proground_log.query.grounding import MARGIN, vertex_logits
-from proground_log.query.surface import Mesh
+from proground_log.query.objects import SceneObject
+from proground_log.query.sightings import LEAST_AREA_M2
 from proground_log.regions import EMBEDDING_WIDTH
 from proground_log.streams import stream
 from recorders.room import RoomSource
@@ -39,7 +40,6 @@ from replay.config import ReplayConfig, TelemetryConfig
 from replay.evaluate import Texts
 from replay.manifest import Manifest
 from replay.query import (
-    LEAST_AREA_M2,
     NOT_MARGIN,
     Answer,
     ImageQuery,
@@ -48,6 +48,7 @@ from replay.query import (
 )
 from replay.run_folder import RunFolder
 from replay.session import replay
+from replay.surface import Surface
 from tests.telemetry.telemetry_cells import rows_of
 
 VOXEL_M = 0.06
@@ -90,11 +91,28 @@ def encoder(room_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def answered(run: Path) -> tuple[Mesh, dict[str, Answer]]:
+def answered(run: Path) -> tuple[Surface, dict[str, Answer]]:
     names = ["sofa", "couch", "bed", "table", "toilet"]
-    mesh, answers = query_run(run, names, VOXEL_M, 5)
+    surface, answers = query_run(run, names, VOXEL_M, 5)
     assert [answer.query for answer in answers] == names
-    return mesh, {answer.query: answer for answer in answers}
+    return surface, {answer.query: answer for answer in answers}
+
+
+def size(thing: SceneObject) -> int:
+    return len(thing.instance)
+
+
+def answer_of(run: Path, text: str) -> Answer:
+    _, (answer,) = query_run(run, [text], VOXEL_M, 5)
+    return answer
+
+
+def without_log(run: Path, folder: Path) -> Path:
+    """A copy of a run whose log has gone."""
+    shutil.copytree(run, folder / "run")
+    manifest = Manifest.read(RunFolder(run).manifest)
+    replace(manifest, log_path="/nowhere.mcap").write(RunFolder(folder / "run").manifest)
+    return folder / "run"
 
 
 def distance_m(point_m: np.ndarray, class_name: str) -> float:
@@ -112,44 +130,81 @@ def distance_m(point_m: np.ndarray, class_name: str) -> float:
     [("sofa", "sofa"), ("couch", "sofa"), ("bed", "bed"), ("table", "table")],
 )
 def test_large_things_are_found_where_they_are(
-    answered: tuple[Mesh, dict[str, Answer]], query: str, class_name: str
+    answered: tuple[Surface, dict[str, Answer]], query: str, class_name: str
 ) -> None:
-    mesh, answers = answered
+    surface, answers = answered
     answer = answers[query]
     best = answer.things[0]
-    assert distance_m(best.position_m, class_name) < 0.3
-    largest = max(answer.things, key=len)
-    assert distance_m(largest.position_m, class_name) < 0.3
-    assert np.linalg.norm(largest.upper_m - largest.lower_m) > 0.5
+    assert distance_m(best.instance.position_m, class_name) < 0.3
+    largest = max(answer.things, key=size)
+    assert distance_m(largest.instance.position_m, class_name) < 0.3
+    assert np.linalg.norm(largest.box.extent_m) > 0.5
     for thing in answer.things:
-        assert len(thing) >= LEAST_AREA_M2 / VOXEL_M**2
-        assert (answer.scores[thing.vertices] >= answer.measure.threshold).all()
-        assert (mesh.vertices_m[thing.vertices].min(axis=0) <= thing.position_m).all()
-    scores = [thing.score for thing in answer.things]
+        assert len(thing.instance) >= LEAST_AREA_M2 / VOXEL_M**2
+        assert thing.instance.score >= answer.measure.threshold
+        points_m = surface.mesh.vertices_m[thing.instance.vertices]
+        assert (points_m.min(axis=0) <= thing.instance.position_m).all()
+    scores = [thing.instance.score for thing in answer.things]
     assert scores == sorted(scores, reverse=True)
 
 
-def test_a_synonym_scores_below_its_prompt(answered: tuple[Mesh, dict[str, Answer]]) -> None:
+def test_things_are_the_objects_of_the_map_scored_by_what_the_detector_saw(
+    answered: tuple[Surface, dict[str, Answer]],
+) -> None:
+    """Against the definition, region by region and level by level."""
+    surface, answers = answered
+    assert surface.sightings is not None
+    listed = {int(thing.instance.vertices[0]): thing for thing in surface.objects}
+    for name in ("couch", "bed"):
+        (text,) = BuiltinTexts().embed([name])
+        assert answers[name].things
+        for thing in answers[name].things:
+            known = listed[int(thing.instance.vertices[0])]
+            assert (known.label, known.views, known.box) == (thing.label, thing.views, thing.box)
+            np.testing.assert_array_equal(known.instance.vertices, thing.instance.vertices)
+            fits = []
+            for witness in thing.witnesses:
+                embedding = surface.sightings.embeddings[[witness]]
+                level = int(surface.sightings.levels[witness])
+                logit = surface.description.heads.logits(embedding, level, text[None])[0, 0]
+                fits.append(1 / (1 + math.exp(-logit)))
+            assert thing.instance.score == pytest.approx(np.mean(fits), abs=1e-5)
+
+
+def test_without_its_log_a_map_still_answers(
+    run: Path, answered: tuple[Surface, dict[str, Answer]], tmp_path: Path
+) -> None:
+    elsewhere = without_log(run, tmp_path)
+    surface, (bed,) = query_run(elsewhere, ["bed"], VOXEL_M, 5)
+    assert surface.sightings is None
+    assert bed.things[0].views is None
+    assert distance_m(bed.things[0].instance.position_m, "bed") < 0.3
+    # What the map says of its vertices needs no log.
+    _, answers = answered
+    np.testing.assert_allclose(bed.scores, answers["bed"].scores, atol=1e-5)
+
+
+def test_a_synonym_scores_below_its_prompt(answered: tuple[Surface, dict[str, Answer]]) -> None:
     _, answers = answered
     assert 0.2 < answers["couch"].best < answers["sofa"].best
 
 
-def test_what_is_not_there_is_not_found(answered: tuple[Mesh, dict[str, Answer]]) -> None:
+def test_what_is_not_there_is_not_found(answered: tuple[Surface, dict[str, Answer]]) -> None:
     _, answers = answered
     assert answers["toilet"].things == ()
     assert answers["toilet"].best < answers["toilet"].measure.threshold
 
 
 def test_a_query_competes_with_the_prompts_and_with_nothing_else(
-    run: Path, answered: tuple[Mesh, dict[str, Answer]]
+    run: Path, answered: tuple[Surface, dict[str, Answer]]
 ) -> None:
     """Against the definition, vertex by vertex and level by level."""
-    mesh, answers = answered
-    semantics = load_map(RunFolder(run).map).semantics_at(mesh.vertices_m)
+    surface, answers = answered
+    semantics = load_map(RunFolder(run).map).semantics_at(surface.mesh.vertices_m)
     description = load_map(RunFolder(run).map).semantics.description  # type: ignore[union-attr]
     texts = np.concatenate([description.texts, BuiltinTexts().embed(["couch"])])
     checked = 0
-    for vertex in range(0, len(mesh.vertices_m), 50):
+    for vertex in range(0, len(surface.mesh.vertices_m), 50):
         odds = np.exp(semantics.scale_logits[vertex].astype(np.float64))
         levels = odds[:3] / odds[:3].sum()
         logits = sum(
@@ -168,13 +223,13 @@ def test_a_query_competes_with_the_prompts_and_with_nothing_else(
 
 
 def test_answers_do_not_depend_on_the_other_queries(
-    run: Path, answered: tuple[Mesh, dict[str, Answer]]
+    run: Path, answered: tuple[Surface, dict[str, Answer]]
 ) -> None:
     _, answers = answered
     _, (alone, again) = query_run(run, [" Sofa", "couch"], VOXEL_M, 2)
     np.testing.assert_allclose(alone.scores, answers["sofa"].scores, atol=1e-5)
     np.testing.assert_allclose(again.scores, answers["couch"].scores, atol=1e-5)
-    assert len(alone.things) == 2
+    assert [thing.label for thing in alone.things] == ["sofa"]
 
 
 CELLS = 8
@@ -243,8 +298,8 @@ def test_an_image_finds_what_it_shows(run: Path, encoder: Path, tmp_path: Path, 
     query = ImageQuery(tmp_path / "thing.png", encoder)
     _, (answer,) = query_run(run, [], VOXEL_M, 5, image=query)
     assert answer.query == "thing.png"
-    assert distance_m(answer.things[0].position_m, name) < 0.3
-    assert distance_m(max(answer.things, key=len).position_m, name) < 0.3
+    assert distance_m(answer.things[0].instance.position_m, name) < 0.3
+    assert distance_m(max(answer.things, key=size).instance.position_m, name) < 0.3
     assert answer.best >= answer.measure.threshold
 
 
@@ -265,11 +320,8 @@ def test_the_log_of_an_image_query_must_be_the_runs(
     query = ImageQuery(tmp_path / "thing.png", encoder)
     with pytest.raises(ProgroundError, match="is not the log"):
         query_run(run, [], VOXEL_M, 5, image=query, log_path=room_log)
-    moved, elsewhere = tmp_path / "moved.mcap", tmp_path / "run"
+    moved, elsewhere = tmp_path / "moved.mcap", without_log(run, tmp_path)
     shutil.copy(perceived_log, moved)
-    shutil.copytree(run, elsewhere)
-    manifest = Manifest.read(RunFolder(run).manifest)
-    replace(manifest, log_path="/nowhere.mcap").write(RunFolder(elsewhere).manifest)
     with pytest.raises(ProgroundError, match="nowhere"):
         query_run(elsewhere, [], VOXEL_M, 5, image=query)
     _, (here,) = query_run(elsewhere, [], VOXEL_M, 5, image=query, log_path=moved)
@@ -317,7 +369,8 @@ def test_the_command_prints_json_for_programs_and_a_table_for_people(
     query_command(run, texts, voxel_m=VOXEL_M, top_k=1)
     table = capsys.readouterr().out
     assert f"{thing['score']:.2f}" in table
-    assert "toilet: nothing found; the best relevance on the map is" in table
+    assert "toilet: nothing found; the best relevance of an object is 0." in table
+    assert (thing["label"], thing["views"]) == ("bed", answer_of(run, "bed").things[0].views)
     with pytest.raises(ProgroundError, match="go together"):
         query_command(run, texts, image=run / "thing.png")
 
@@ -330,17 +383,20 @@ def test_the_recording_has_a_mesh_and_boxes_for_each_query(
     assert str(path) in capsys.readouterr().out
     _, (bed, toilet) = query_run(run, ["bed", "toilet"], VOXEL_M, 5)
     rows = rows_of(path)
+    things = [thing.instance for thing in bed.things]
     labels = rows["/world/found/0", "Boxes3D:labels"][0][1]
-    assert labels == [f"bed {thing.score:.2f}" for thing in bed.things]
+    assert labels == [f"bed {thing.score:.2f}" for thing in things]
     centers = rows["/world/found/0", "Boxes3D:centers"][0][1]
-    expected = [(thing.lower_m + thing.upper_m) / 2 for thing in bed.things]
+    expected = [(thing.lower_m + thing.upper_m) / 2 for thing in things]
     np.testing.assert_allclose(centers, expected, atol=1e-5)
     colors = [
         np.array(rows[f"/world/map/relevance/{number}", "Mesh3D:vertex_colors"][0][1])
         for number in range(2)
     ]
     differ = colors[0] != colors[1]
-    assert differ[bed.things[0].vertices].all()
+    warm = (bed.scores > bed.measure.threshold) & (toilet.scores == 0)
+    assert differ[warm].all()
+    assert warm[things[0].vertices].mean() > 0.5
     assert not differ[(bed.scores == 0) & (toilet.scores == 0)].any()
     with pytest.raises(ProgroundError, match="--overwrite"):
         query_command(run, ("bed",), rrd=path)
@@ -354,12 +410,12 @@ def test_colours_negatives_and_relations_only_take_things_away(run: Path) -> Non
         *("sofa", f"{color} sofa", f"{other} sofa", "sofa, not bed", "sofa, not couch"),
         *("sofa near table", "sofa near bed", "sofa on bed"),
     ]
-    mesh, answers = query_run(run, names, VOXEL_M, 99)
+    surface, answers = query_run(run, names, VOXEL_M, 99)
     plain, colored, miscolored, negative, nothing, near, far, on = answers
-    best = max(plain.things, key=len)
+    best = max(plain.things, key=size)
 
     def has_best(answer: Answer) -> bool:
-        return any(np.array_equal(thing.vertices, best.vertices) for thing in answer.things)
+        return any(thing.box is best.box for thing in answer.things)
 
     assert has_best(colored)
     assert not has_best(miscolored)
@@ -369,7 +425,7 @@ def test_colours_negatives_and_relations_only_take_things_away(run: Path) -> Non
     np.testing.assert_array_equal(colored.scores, plain.scores)
     # A negative keeps just the vertices that it fits less by the margin.
     content = load_map(RunFolder(run).map)
-    semantics = content.semantics_at(mesh.vertices_m)
+    semantics = content.semantics_at(surface.mesh.vertices_m)
     heads = content.semantics.description.heads  # type: ignore[union-attr]
     texts = BuiltinTexts().embed(["sofa", "bed", "couch"])
     logits = vertex_logits(semantics.embeddings, semantics.scale_logits, heads, texts)

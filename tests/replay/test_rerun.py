@@ -16,6 +16,7 @@ from proground_log.errors import ProgroundError
 from proground_log.events import Event, FrameDone
 from replay.config import SimulationConfig
 from replay.digests import state_digests
+from replay.evaluate import evaluate_run
 from replay.ledger import read_ledger
 from replay.manifest import Manifest
 from replay.rerun import Excerpt, rerun, state_after
@@ -107,6 +108,10 @@ def test_a_log_that_is_gone_or_changed_is_named(run: Path, room_log: Path, tmp_p
     RunFolder(copy).manifest.write_text(json.dumps({**manifest, "log_path": str(gone)}))
     with pytest.raises(ProgroundError, match=r"gone\.mcap: .*is not there; .*--log"):
         rerun(copy, tmp_path / "again", check=True)
+    with pytest.raises(ProgroundError, match=r"gone\.mcap: .*is not there; .*--log"):
+        evaluate_run(copy, None, 0.1, lambda *_: None)
+    with pytest.raises(ProgroundError, match=r"lost\.mcap: .*is not there; .*--log"):
+        evaluate_run(copy, tmp_path / "lost.mcap", 0.1, lambda *_: None)
     changed = shutil.copy(room_log, tmp_path / "changed.mcap")
     assert rerun(copy, tmp_path / "again", check=True, log=changed) is None
     RunFolder(copy).manifest.write_text(json.dumps({**manifest, "log_sha256": "0"}))

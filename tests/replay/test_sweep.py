@@ -329,6 +329,24 @@ def test_the_command_tells_of_cells_that_failed_and_mends_them(
     assert all(cell["error"] is None for cell in found)
 
 
+def test_the_command_names_cells_that_had_no_time_for_a_step(
+    log: Path,
+    swept: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    shutil.copytree(cell_folder(swept, CELLS[1]), cell_folder(tmp_path, CELLS[1]))
+    arguments = ["5,100" if word == "30,100" else word for word in sweep_arguments(log, tmp_path)]
+    assert pglog(monkeypatch, arguments) == 0
+    printed = capsys.readouterr()
+    (warning,) = (line for line in printed.err.splitlines() if "warning" in line)
+    assert "no step was done in budget_5ms_seed_0: the map has learnt nothing" in warning
+    assert " 0.00 " in next(
+        line for line in printed.out.splitlines() if line.startswith("│         5")
+    )
+
+
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [

@@ -86,7 +86,8 @@ def rich_run(room_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(autouse=True)
 def quick_verdict(monkeypatch: pytest.MonkeyPatch) -> None:
     """Judging has tests of its own and takes most of the time."""
-    verdict = Evaluation({"psnr_db": 21.27, "judged_points": 7.0}, {"bed": (1200, 62.5)})
+    scores = {"psnr_db": 21.27, "ssim": 0.8764, "judged_points": 7.0}
+    verdict = Evaluation(scores, {"bed": (1200, 62.5)})
     monkeypatch.setattr(report, "evaluate_run", lambda *_: verdict)
 
 
@@ -162,6 +163,7 @@ def test_the_same_run_gives_the_same_bytes_and_its_names_are_text(
     assert WICKED not in pages[0]
     assert "<h1>&lt;script&gt;alert(1)&lt;/script&gt; in seen.mcap</h1>" in pages[0]
     assert "21.3" in pages[0]
+    assert "Structure (SSIM)</span><b>0.88 <small>of 1</small>" in pages[0]
     assert "62.5 % of 1,200" in pages[0]
     with pytest.raises(ProgroundError, match="the output exists"):
         write_report(rich_run, tmp_path / "first.html", None, silent, overwrite=False)

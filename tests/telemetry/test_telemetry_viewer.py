@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +20,7 @@ from proground_log.events import Event, TaskKnown
 from proground_log.frame import SensorFrame
 from proground_log.log.recording import Origin, Recording
 from proground_log.log.writer import open_writer
-from proground_log.telemetry import rerun_sink
+from proground_log.telemetry import rerun_sink, viewer
 from proground_log.telemetry.blueprint import replay_blueprint
 from proground_log.telemetry.rerun_sink import TelemetrySink
 from proground_log.telemetry.segments import merge_segments
@@ -39,6 +40,22 @@ def test_what_is_neither_log_nor_run_is_refused(tmp_path: Path) -> None:
     (tmp_path / "broken.mcap").write_text("not a log")
     with pytest.raises(ProgroundError, match="no MCAP file"):
         view([tmp_path / "broken.mcap"])
+
+
+def test_a_viewer_that_ends_when_it_is_to_draw_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without a driver it answers first, and is gone when a file is to be opened."""
+
+    class Gone:
+        def open(self, _: list[str]) -> None:
+            raise ConnectionError("transport error")
+
+    write_run(tmp_path)
+    monkeypatch.setattr(viewer, "_command", lambda *_: [sys.executable, "-c", ""])
+    monkeypatch.setattr(viewer, "_connect", lambda *_: Gone())
+    with pytest.raises(ProgroundError, match=r"did not start; install a Vulkan driver"):
+        screenshot([tmp_path], tmp_path / "a.png")
 
 
 needs_vulkan = pytest.mark.skipif(

@@ -7,44 +7,24 @@ import pytest
 
 from proground_log.query.boxes import box_around
 from proground_log.query.instances import Instance
-from proground_log.query.objects import (
+from proground_log.query.objects import SceneObject, object_of_vertices
+from proground_log.query.objects_of_labels import (
     LEAST_AREA_M2,
-    SceneObject,
-    find_objects,
-    object_of_vertices,
+    objects_of_labels,
     without_duplicates,
 )
 from proground_log.query.settling import STIFFNESS_M, settle_labels
 from proground_log.query.surface import Mesh
 from proground_log.streams import stream
+from tests.query.sheets import UP, patch, sheet
 
 VOXEL_M = 0.04
-UP = np.array([0.0, 0.0, 1.0])
 PROMPTS = ("table", "cup")
-
-
-def sheet(rows: int, columns: int) -> Mesh:
-    """A level sheet of vertices, a voxel apart, that faces up."""
-    grid = np.stack(np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij"), axis=-1)
-    plan = grid.reshape(-1, 2) * VOXEL_M
-    vertices_m = np.concatenate([plan, np.zeros((len(plan), 1))], axis=1).astype(np.float32)
-    number = np.arange(rows * columns).reshape(rows, columns)
-    a, b = number[:-1, :-1].ravel(), number[1:, :-1].ravel()
-    c, d = number[1:, 1:].ravel(), number[:-1, 1:].ravel()
-    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]).astype(np.int32)
-    normals = np.tile(UP.astype(np.float32), (len(plan), 1))
-    return Mesh(vertices_m, faces, normals, np.zeros((len(plan), 3), np.uint8))
-
-
-def patch(rows: slice, columns: slice, shape: tuple[int, int]) -> np.ndarray:
-    chosen = np.zeros(shape, bool)
-    chosen[rows, columns] = True
-    return chosen.ravel()
 
 
 def table_and_cup(lead: float) -> tuple[Mesh, np.ndarray, np.ndarray]:
     """A table, and 5 x 5 vertices on it that are more cup than table by so many logits."""
-    mesh = sheet(30, 30)
+    mesh = sheet(30, 30, VOXEL_M)
     cup = patch(slice(10, 15), slice(10, 15), (30, 30))
     logits = np.tile(np.array([2.0, -2.0]), (900, 1))
     logits[cup] = (1.0, 1.0 + lead)
@@ -79,41 +59,44 @@ def test_noise_of_single_vertices_is_gone_and_what_was_there_before_is_found() -
 def test_objects_are_what_their_vertices_say() -> None:
     mesh, logits, cup = table_and_cup(6.0)
     background = np.where(patch(slice(0, 30), slice(20, 30), (30, 30)), 0.99, 0.02)
-    table, found_cup = find_objects(mesh, logits, background, PROMPTS, UP, VOXEL_M)
+    table, found_cup = objects_of_labels(mesh, logits, background, PROMPTS, UP, VOXEL_M)
     assert (table.label, found_cup.label) == PROMPTS
     np.testing.assert_array_equal(found_cup.instance.vertices, np.flatnonzero(cup))
     np.testing.assert_allclose(found_cup.box.centre_m, (0.48, 0.48, 0), atol=1e-3)
     np.testing.assert_allclose(found_cup.box.extent_m[:2], 4 * VOXEL_M, atol=1e-3)
     assert (background[table.instance.vertices] < 0.5).all()
+    # Nobody knows who saw them; what they are can be asked of their vertices.
+    assert table.views is found_cup.views is None
+    np.testing.assert_array_equal(found_cup.witnesses, found_cup.instance.vertices)
     numbers = object_of_vertices([table, found_cup], len(cup))
     np.testing.assert_array_equal(numbers == 1, cup)
     assert (numbers[background > 0.5] == -1).all()
     # A text that no object is of only takes vertices away.
     logits = np.concatenate([logits, np.where(cup, 20.0, -9.0)[:, None]], axis=1)
-    (alone,) = find_objects(mesh, logits, background, PROMPTS, UP, VOXEL_M)
+    (alone,) = objects_of_labels(mesh, logits, background, PROMPTS, UP, VOXEL_M)
     assert alone.label == "table"
 
 
 def test_two_things_of_one_prompt_with_background_between_are_two() -> None:
-    mesh = sheet(30, 30)
+    mesh = sheet(30, 30, VOXEL_M)
     logits = np.tile(np.array([2.0, -2.0]), (900, 1))
     for gap, things in ((1, 1), (6, 2)):
         between = patch(slice(0, 30), slice(12, 12 + gap), (30, 30))
         background = np.where(between, 0.999, 0.02)
-        assert len(find_objects(mesh, logits, background, PROMPTS, UP, VOXEL_M)) == things
+        assert len(objects_of_labels(mesh, logits, background, PROMPTS, UP, VOXEL_M)) == things
 
 
 def test_what_is_small_or_hardly_relevant_is_no_object() -> None:
-    mesh = sheet(30, 30)
+    mesh = sheet(30, 30, VOXEL_M)
     shape = (30, 30)
     side = int(np.sqrt(LEAST_AREA_M2) / VOXEL_M)
     speck = patch(slice(0, side), slice(0, side), shape)
     background = np.where(speck | patch(slice(10, 20), slice(10, 20), shape), 1e-6, 1 - 1e-6)
     unlikely = np.tile(np.array([-5.0, -9.0]), (900, 1))
     likely = unlikely + 6
-    (thing,) = find_objects(mesh, likely, background, PROMPTS, UP, VOXEL_M)
+    (thing,) = objects_of_labels(mesh, likely, background, PROMPTS, UP, VOXEL_M)
     assert len(thing.instance) == 100
-    assert find_objects(mesh, unlikely, background, PROMPTS, UP, VOXEL_M) == []
+    assert objects_of_labels(mesh, unlikely, background, PROMPTS, UP, VOXEL_M) == []
 
 
 def thing_at(corner_m: tuple[float, float, float], size_m: float, score: float) -> SceneObject:
@@ -121,7 +104,7 @@ def thing_at(corner_m: tuple[float, float, float], size_m: float, score: float) 
     points_m = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3) + corner_m
     count = int(1000 * size_m)
     instance = Instance(points_m.mean(0), points_m[0], points_m[-1], score, np.arange(count))
-    return SceneObject("cup", instance, box_around(points_m, UP))
+    return SceneObject("cup", instance, box_around(points_m, UP), instance.vertices)
 
 
 @pytest.mark.parametrize(("shift_m", "kept"), [(0.0, 1), (0.1, 1), (0.8, 2), (3.0, 2)])

@@ -1,0 +1,89 @@
+"""The rerun recording of a map's objects: their boxes, and the map in their labels' colours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from proground_log.events import MeshExtracted
+from proground_log.files import written_whole
+from proground_log.log.upright import nearest_axis
+from proground_log.query.objects import SceneObject, object_of_vertices
+from proground_log.telemetry.blueprint import BACKGROUND
+from proground_log.telemetry.boxes import boxes3d
+from proground_log.telemetry.rerun_sink import open_recording
+from proground_log.telemetry.surface import surface
+from proground_log.telemetry.upright import VIEW_COORDINATES
+
+TINT = 0.7
+"""Of an object's colour in the map's own: so much that one sees what it is of, and its shape."""
+DIMMED = 0.5
+"""Brightness of what is of no object."""
+
+
+def write_objects_recording(
+    path: Path,
+    recording_id: str,
+    mesh: MeshExtracted,
+    objects: Sequence[SceneObject],
+    colors: np.ndarray,
+    up: np.ndarray,
+) -> None:
+    """Write an .rrd file that opens with the boxes, and with the objects' surfaces beside them.
+
+    Args:
+        path: the file, replaced if it is there.
+        recording_id: tells it from others in one viewer.
+        mesh: the map's surface.
+        objects: N of them, on that surface.
+        colors: uint8 [N, 3], of their labels.
+        up: the world's upward direction [3].
+    """
+    recording = open_recording(recording_id)
+    # Rerun's own file sink waits forever once a disk is full: the bytes are written here.
+    stream = rr.binary_stream(recording)
+    recording.send_blueprint(_blueprint())
+    recording.log("world", VIEW_COORDINATES[nearest_axis(up)], static=True)
+    recording.log("world/map/color", surface(mesh, mesh.colors), static=True)
+    recording.log("world/map/objects", surface(mesh, _tinted(mesh, objects, colors)), static=True)
+    names = [f"{number} {thing.label}" for number, thing in enumerate(objects, start=1)]
+    boxes = boxes3d([thing.box for thing in objects], names, colors)
+    recording.log("world/objects", boxes, static=True)
+    content = stream.read(flush=True)
+    recording.disconnect()
+    with written_whole(path) as temporary:
+        temporary.write_bytes(content or b"")
+
+
+def _tinted(mesh: MeshExtracted, objects: Sequence[SceneObject], colors: np.ndarray) -> np.ndarray:
+    """The mesh's colours, uint8 [V, 3], with each object in its own; the rest is dim and grey."""
+    gray = np.repeat(mesh.colors.mean(axis=1, keepdims=True), 3, axis=1)
+    tinted = DIMMED * gray
+    number = object_of_vertices(objects, len(gray))
+    on_object = number >= 0
+    own = colors.reshape(-1, 3)[number[on_object]]
+    tinted[on_object] = TINT * own + (1 - TINT) * gray[on_object]
+    return tinted.round().astype(np.uint8)
+
+
+def _blueprint() -> rrb.Blueprint:
+    views = [
+        rrb.Spatial3DView(
+            origin="world",
+            contents=[f"+ $origin/map/{layer}", "+ $origin/objects"],
+            name=name,
+            background=rrb.Background(color=BACKGROUND),
+            line_grid=rrb.LineGrid3D(visible=False),
+        )
+        for layer, name in (("color", "Objects"), ("objects", "What belongs to them"))
+    ]
+    return rrb.Blueprint(
+        rrb.Horizontal(*views),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed"),
+    )
