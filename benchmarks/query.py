@@ -40,7 +40,7 @@ def measure() -> list[Row]:
         ask_s, field_s, decide_s, load_s, mesh_s = median_seconds(
             lambda: ask_map(content, points_m, texts),
             lambda: list(content.features_at(points_m)),
-            lambda: relevance_to(0, logits, background),
+            lambda: relevance_to(logits[:, 0], logits.max(axis=1), background),
             lambda: load_map(path),
             lambda: extract_mesh(content, MESH_VOXEL_M),
             rounds=3,

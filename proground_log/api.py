@@ -225,12 +225,14 @@ class Run:
             ProgroundError: the map knows no meaning, or nobody knows the text.
         """
         from replay.evaluate import Texts
-        from replay.query import query_surface
+        from replay.query import query_surface, understand
         from replay.surface import require_meaning
 
         require_meaning(self.map, self.path)
+        assert self.map.semantics is not None
         texts = Texts(vocabulary, text_encoder)
-        (answer,) = query_surface(self.surface(voxel_m), [text], top_k, texts=texts)
+        question = understand([text], self.map.semantics.description, texts=texts)
+        (answer,) = query_surface(self.surface(voxel_m), question, top_k)
         return answer
 
     def navigate(

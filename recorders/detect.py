@@ -79,7 +79,7 @@ def _seen(source: Path) -> str:
         if source.is_file():
             return f"a file of {source.stat().st_size} bytes"
         if not source.is_dir():
-            raise ProgroundError("no such file or folder", where=source, todo="check the path")
+            raise ProgroundError("no such folder or file", where=source, todo="check the path")
         names = sorted(path.name for path in source.iterdir())
     except OSError as error:
         raise ProgroundError(

@@ -148,7 +148,9 @@ def open_log_of(manifest: Manifest, log_path: Path | None) -> LogReader:
     reader = LogReader(path)
     if file_sha256(reader.path) != manifest.log_sha256:
         raise ProgroundError(
-            "is not the log that the run was made of", where=reader.path, todo="give it with --log"
+            "is not the log that the run was made of",
+            where=reader.path,
+            todo="give it with --log" if log_path is None else "check the path",
         )
     return reader
 

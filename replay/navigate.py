@@ -21,7 +21,7 @@ from proground_log.query.surface import Mesh
 from proground_log.telemetry.path_recording import PathDrawing, write_path_recording
 from replay.evaluate import Texts
 from replay.manifest import file_sha256
-from replay.query import Answer, query_surface
+from replay.query import Answer, query_surface, understand
 from replay.run_folder import RunFolder
 from replay.surface import Surface, log_if_there, require_meaning, surface_of
 
@@ -40,7 +40,7 @@ class Journey:
         route: the way.
         plan: the floor.
         graph: the Voronoi graph for the robot.
-        mesh: the map's surface.
+        surface: of the map.
         robot: who drives.
         thing: what the text found, or None for a place.
         rank: which of the things found it is, from 1; better ones cannot be reached.
@@ -50,7 +50,7 @@ class Journey:
     route: Route
     plan: FloorPlan
     graph: nx.MultiGraph[Cell]
-    mesh: Mesh
+    surface: Surface
     robot: Robot
     thing: SceneObject | None = None
     rank: int = 1
@@ -106,7 +106,8 @@ def navigate_surface(
     """
     mesh, answer = surface.mesh, None
     if isinstance(goal, str):
-        (answer,) = query_surface(surface, [goal], MOST_THINGS, texts=texts)
+        question = understand([goal], surface.description, texts=texts)
+        (answer,) = query_surface(surface, question, MOST_THINGS)
         if not answer.things:
             raise ProgroundError(
                 f"nothing like {goal!r} was found",
@@ -117,10 +118,10 @@ def navigate_surface(
     planner = Planner(plan, np.array(start), robot.radius_m)
     if answer is None:
         route = planner.to_place(np.array(goal, np.float64))
-        return Journey(goal, route, plan, planner.graph, mesh, robot)
+        return Journey(goal, route, plan, planner.graph, surface, robot)
     route, rank = _to_first(planner, mesh, answer)
     thing = answer.things[rank - 1]
-    return Journey(goal, route, plan, planner.graph, mesh, robot, thing, rank)
+    return Journey(goal, route, plan, planner.graph, surface, robot, thing, rank)
 
 
 def footprint(plan: FloorPlan, mesh: Mesh, thing: Instance) -> np.ndarray:
@@ -135,7 +136,7 @@ def sight(journey: Journey) -> Sight | None:
     """The thing that a journey leads to as a floor plan shows it, if it leads to one."""
     if journey.thing is None:
         return None
-    places_m = footprint(journey.plan, journey.mesh, journey.thing.instance)
+    places_m = footprint(journey.plan, journey.surface.mesh, journey.thing.instance)
     (left, low), (right, high) = places_m.min(axis=0), places_m.max(axis=0)
     corners_m = np.array([(left, low), (right, low), (right, high), (left, high)])
     return Sight(journey.name, corners_m)
@@ -149,7 +150,7 @@ def draw_journey(path: Path, run_path: Path, journey: Journey) -> None:
         run_path: folder of the run.
         journey: as `navigate_run` gives it.
     """
-    plan, route, mesh = journey.plan, journey.route, journey.mesh
+    plan, route, mesh = journey.plan, journey.route, journey.surface.mesh
     lines = [edge["cells"] for _, _, edge in journey.graph.edges(data=True)]
     thing = journey.thing
     x_m, y_m = route.corners_m[0]

@@ -111,7 +111,7 @@ class _Meaning:
         return SurfaceMeaning(
             labels=labels,
             features=self._colors(semantics),
-            relevance=relevance_to(0, logits, background),
+            relevance=relevance_to(logits[:, 0], logits.max(axis=1), background),
             prompt=self._perception.task.prompts[0],
         )
 

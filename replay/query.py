@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -42,7 +43,7 @@ class Measure:
 
     Args:
         name: what people call it.
-        threshold: vertices count from here on.
+        threshold: objects count from here on.
         full: where the colours of a picture end.
     """
 
@@ -72,7 +73,7 @@ class Answer:
         measure: what the scores are.
         things: what was found, best first; the score of each is for the query.
         best: the best score of any object for the thing asked for, before its colour and its
-            relations are looked at; 0 where there are no objects.
+            relations are looked at; 0 at least.
         scores: float32 [V], what the map says of its vertices.
         notes: what a reader of the answer should know.
     """
@@ -93,6 +94,64 @@ class ImageQuery:
     encoder: Path
 
 
+@dataclass(frozen=True, eq=False)
+class Question:
+    """What is asked, understood.
+
+    Args:
+        names: the texts, as they were given.
+        queries: what they mean.
+        rows: the row of each prompt and name in the embeddings.
+        embeddings: float32 [K, 512]: the task's prompts, other names, and then an image and its
+            bank.
+        image: where there is one: its name, and its row.
+    """
+
+    names: tuple[str, ...]
+    queries: tuple[Query, ...]
+    rows: Mapping[str, int]
+    embeddings: np.ndarray
+    image: tuple[str, int] | None
+
+
+def understand(
+    names: Sequence[str],
+    description: PerceptionDescription,
+    image: ImageQuery | None = None,
+    texts: Texts = Texts(),
+    log: LogReader | None = None,
+) -> Question:
+    """Embed what is asked.
+
+    Args:
+        names: what to look for, as `parse_query` reads it; each competes with the task's prompts,
+            not with the others.
+        description: of the map that will be asked.
+        image: a picture to look for; then the log has to be there.
+        texts: embeddings of texts that the map does not know.
+        log: the run's.
+
+    Raises:
+        ProgroundError: nothing is asked, nobody knows a text, or a file is not what it should be.
+    """
+    two_spaces = texts.vocabulary is not None and texts.text_encoder is not None
+    faults = (
+        (not names and image is None, "there is nothing to look for", "give a text or --image"),
+        (two_spaces, "--vocabulary and --text-encoder are both given", "leave one out"),
+    )
+    for is_fault, what, todo in faults:
+        if is_fault:
+            raise ProgroundError(what, where="query", todo=todo)
+    queries = tuple(parse_query(name, description.task.all_prompts) for name in names)
+    rows, embeddings = _embed(queries, description, texts)
+    if image is None:
+        return Question(tuple(names), queries, rows, embeddings, None)
+    assert log is not None
+    pictures = _embed_image(image, log)
+    named = image.image.name, len(embeddings)
+    return Question(tuple(names), queries, rows, np.concatenate([embeddings, pictures]), named)
+
+
 def query_run(
     run_path: Path,
     names: Sequence[str],
@@ -103,74 +162,66 @@ def query_run(
     texts: Texts = Texts(),
     log_path: Path | None = None,
 ) -> tuple[Surface, list[Answer]]:
-    """Find things in the map of a run; see `query_surface`.
+    """Find things in the map of a run; what cannot be asked is refused before anything is done.
 
     Args:
         run_path: folder of a finished run whose log had regions.
-        names, top_k, image, texts: what to look for.
+        names, image, texts: as for `understand`.
         voxel_m: voxels of the mesh whose objects are asked.
+        top_k: most things an answer has.
         log_path: the run's log, or None where it is where the run found it; `image` needs it, and
             without it objects are told apart by the map alone, and z is up.
 
     Returns:
         The surface, and the answers.
     """
-    _require_sound(names, image, texts, top_k)
     run = RunFolder(run_path).require_finished()
     content = load_map(run.map)
     require_meaning(content, run_path)
     assert content.semantics is not None
-    # What nobody knows is refused before the surface is extracted.
-    _embed(_parsed(names, content.semantics.description), content.semantics.description, texts)
-    if image is not None:
-        open_log_of(Manifest.read(run.manifest), log_path)
-    surface = surface_of(run, content, voxel_m, log_if_there(run, log_path))
-    return surface, query_surface(surface, names, top_k, image=image, texts=texts)
+    if image is None:
+        log = log_if_there(run, log_path)
+    else:
+        log = open_log_of(Manifest.read(run.manifest), log_path)
+    question = understand(names, content.semantics.description, image, texts, log)
+    _require_some(top_k)
+    surface = surface_of(run, content, voxel_m, log)
+    return surface, query_surface(surface, question, top_k)
 
 
-def query_surface(
-    surface: Surface,
-    names: Sequence[str],
-    top_k: int,
-    *,
-    image: ImageQuery | None = None,
-    texts: Texts = Texts(),
-) -> list[Answer]:
+def query_surface(surface: Surface, question: Question, top_k: int) -> list[Answer]:
     """Find things on a surface.
 
     Args:
-        surface: of a map with meaning; with its log where there is an image.
-        names: what to look for, as `parse_query` reads it; each competes with the task's prompts,
-            not with the others.
+        surface: of the map that the question was understood for.
+        question: what to look for.
         top_k: most things an answer has.
-        image: a picture to look for.
-        texts: embeddings of texts that the map does not know.
 
     Returns:
         An answer for each name, in their order; that for the image comes last.
-
-    Raises:
-        ProgroundError: nobody knows a text, or a file is not what it should be.
     """
-    _require_sound(names, image, texts, top_k)
-    queries = _parsed(names, surface.description)
-    rows, embeddings = _embed(queries, surface.description, texts)
-    known = len(embeddings)
-    if image is not None:
-        assert surface.log is not None
-        embeddings = np.concatenate([embeddings, _embed_image(image, surface.log)])
-    logits, background = surface.ask(embeddings)
-    testimony = surface.testimony(embeddings)
-    asked = _Asked(surface, rows, logits, background, _means(surface, expit(testimony)))
-    answers = [asked.answer(name, query, top_k) for name, query in zip(names, queries, strict=True)]
-    if image is not None:
-        scores = z_scores(logits[:, known], logits[:, known + 1 :])
+    _require_some(top_k)
+    logits, background = surface.ask(question.embeddings)
+    said = logits
+    if surface.sightings is not None:
+        said = surface.sightings.logits(surface.description.heads, question.embeddings)
+    asked = _Asked(surface, question.rows, logits, background, _means(surface, expit(said)))
+    pairs = zip(question.names, question.queries, strict=True)
+    answers = [asked.answer(name, query, top_k) for name, query in pairs]
+    if question.image is not None:
+        name, row = question.image
+        scores = z_scores(logits[:, row], logits[:, row + 1 :])
         scores[background >= BACKGROUND] = 0
-        fits = _means(surface, z_scores(testimony[:, known], testimony[:, known + 1 :])[:, None])
-        things = ranked(surface.objects, fits[:, 0], fits[:, 0] >= Z_SCORE.threshold)[:top_k]
-        best = float(fits.max(initial=0))
-        answers.append(Answer(image.image.name, Z_SCORE, tuple(things), best, scores))
+        fits = _means(surface, z_scores(said[:, row], said[:, row + 1 :])[:, None])[:, 0]
+        things = ranked(surface.objects, fits, fits >= Z_SCORE.threshold)[:top_k]
+        answers.append(Answer(name, Z_SCORE, tuple(things), float(fits.max(initial=0)), scores))
     return answers
+
+
+def _require_some(top_k: int) -> None:
+    if top_k < 1:
+        what = f"the best {top_k} are asked for"
+        raise ProgroundError(what, where="query", todo="ask for 1 or more")
 
 
 def ranked(
@@ -205,25 +256,6 @@ def draw_answers(path: Path, surface: Surface, answers: Sequence[Answer]) -> Non
     queries = ", ".join(answer.query for answer in answers)
     recording_id = f"{file_sha256(surface.run.map)[:16]}: {queries}"
     write_query_recording(path, recording_id, extracted, drawings, surface.up)
-
-
-def _require_sound(
-    names: Sequence[str], image: ImageQuery | None, texts: Texts, top_k: int
-) -> None:
-    """Raise a ProgroundError unless there is a question that can be answered."""
-    two_spaces = texts.vocabulary is not None and texts.text_encoder is not None
-    faults = (
-        (not names and image is None, "there is nothing to look for", "give a text or --image"),
-        (two_spaces, "--vocabulary and --text-encoder are both given", "leave one out"),
-        (top_k < 1, f"the best {top_k} are asked for", "ask for 1 or more"),
-    )
-    for is_fault, what, todo in faults:
-        if is_fault:
-            raise ProgroundError(what, where="query", todo=todo)
-
-
-def _parsed(names: Sequence[str], description: PerceptionDescription) -> list[Query]:
-    return [parse_query(name, description.task.all_prompts) for name in names]
 
 
 def _embed(
@@ -275,7 +307,7 @@ def _means(surface: Surface, values: np.ndarray) -> np.ndarray:
     return np.array(rows).reshape(len(rows), values.shape[1])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Asked:
     """What is said of the texts of all queries.
 
@@ -341,22 +373,28 @@ class _Asked:
 
     def _scores(self, query: Query) -> np.ndarray:
         """Relevance [V] to a query's name, 0 where what it must not be fits nearly as well."""
-        column = self._column(query.name)
-        # A query that is a prompt does not compete with itself.
-        competing = list(dict.fromkeys([*range(self._prompts), column]))
-        scores = relevance_to(competing.index(column), self.logits[:, competing], self.background)
+        asked = self.logits[:, self._column(query.name)]
+        scores = relevance_to(asked, self._best_prompt, self.background)
         for name in query.without:
-            lead = self.logits[:, column] - self.logits[:, self._column(name)]
-            scores[lead < NOT_MARGIN] = 0
+            scores[asked - self.logits[:, self._column(name)] < NOT_MARGIN] = 0
         return scores
 
     def _notes(self, query: Query) -> list[str]:
-        return [
-            f"{name!r} is none of the task's prompts: compared through its text alone, "
-            "expect lower scores"
-            for name in dict.fromkeys(query.names)
-            if self._column(name) >= self._prompts
-        ]
+        notes = []
+        for name in dict.fromkeys(query.names):
+            if self._column(name) >= self._prompts:
+                notes.append(
+                    f"{name!r} is none of the task's prompts: only what these found can answer, "
+                    "compared with its text; expect lower scores"
+                )
+            elif self._column(name) >= len(self.surface.description.task.prompts):
+                notes.append(f"{name!r} is irrelevant to the task: no object is of it")
+        return notes
+
+    @cached_property
+    def _best_prompt(self) -> np.ndarray:
+        """The logit of the best of the task's prompts, [V]."""
+        return np.asarray(self.logits[:, : self._prompts].max(axis=1))
 
     def _column(self, name: str) -> int:
         return self.rows[prompt_of(name)]

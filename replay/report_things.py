@@ -40,6 +40,8 @@ def thing_sections(run: RunFolder, content: NeuralMap, reader: LogReader) -> lis
     else:
         objects = surface.objects
         listed = _table(objects) if objects else [Note("None was found.")]
+        if surface.caveat:
+            listed.append(Note(f"Note: {surface.caveat}."))
     return [
         Section("Objects", listed),
         Section("Floor plan", _plan(surface, objects, reader)),

@@ -11,7 +11,6 @@ import numpy as np
 from scipy.special import expit
 
 from proground_log.errors import ProgroundError
-from proground_log.locations import located
 from proground_log.log.reader import LogReader
 from proground_log.log.registration import Registration
 from proground_log.log.upright import levelled, nearest_axis, up_direction
@@ -40,7 +39,7 @@ LEVEL_DEG = 5.0
 """An axis of the world this near to up is up: the world was meant to stand on it."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Surface:
     """A map's surface, and the log that it was made of where that is still there.
 
@@ -101,12 +100,18 @@ class Surface:
             self.mesh, self.sightings, relevance, prompts, self.up, self.voxel_m
         )
 
-    def testimony(self, texts: np.ndarray) -> np.ndarray:
-        """Logits [W, K] for texts [K, 512] of the regions, or else vertices, that objects name as
-        their `witnesses`."""
-        if self.sightings is None:
-            return self.ask(texts)[0]
-        return self.sightings.logits(self.description.heads, texts)
+    @property
+    def caveat(self) -> str | None:
+        """Why objects are told apart worse than they might be; None where they are not."""
+        if self.sightings is not None:
+            return None
+        if self.log is None:
+            why = "the run's log is not at hand (gone, out of reach or another one)"
+            todo = "say with --log where it is"
+        else:
+            why = "the run's log has no regions"
+            todo = "`pglog perceive` it, and replay what that gives"
+        return f"{why}, so objects are told apart by the map alone, which is worse; {todo}"
 
 
 def surface_of(
@@ -118,7 +123,7 @@ def surface_of(
         run: where it is from.
         content: the map.
         voxel_m: voxels of the mesh.
-        log: its camera says what is up; z is, without it.
+        log: its regions tell objects apart, and its camera says what is up; z is, without it.
 
     Raises:
         ProgroundError: the voxels have no size, or there is no surface.
@@ -148,11 +153,18 @@ def require_meaning(content: NeuralMap, where: object) -> None:
 
 
 def log_if_there(run: RunFolder, log_path: Path | None) -> LogReader | None:
-    """The log of a run, checked; None where it has gone and nobody says where to."""
+    """The log of a run, checked; None where nobody says where it is and it is not where it was.
+
+    Raises:
+        ProgroundError: the log at `log_path` is not there, or is another.
+    """
     manifest = Manifest.read(run.manifest)
-    if log_path is None and not located(manifest.log_path).is_file():
+    try:
+        return open_log_of(manifest, log_path)
+    except ProgroundError:
+        if log_path is not None:
+            raise
         return None
-    return open_log_of(manifest, log_path)
 
 
 def _mapped_frames(ledger: Path) -> list[int]:

@@ -510,6 +510,8 @@ def test_info_shows_what_looks_wrong_about_a_recording(
     assert "the lens cap is on" in rows[first]
     assert "the floor is lava" in rows[first + 1]
     assert "warnings" not in pglog("info", small_log).out
+    shown = [json.loads(pglog("info", name, "--json").out)["warnings"] for name in (log, small_log)]
+    assert shown == [["the lens cap is on", "the floor is lava"], []]
 
 
 @pytest.mark.parametrize("columns", [20, 40, 80])

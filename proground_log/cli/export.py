@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from tyro.conf import Positional
 
-from proground_log.cli.common import SAME, MaybeFloat, MaybePath, Output, Run, err
+from proground_log.cli.common import SAME, MaybeFloat, MaybePath, Output, Run, err, warn
 from proground_log.errors import ProgroundError
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def export_command(
         voxel_m: voxels of the surface (mesh, points: 0.02; openlex3d: 0.05; else 0.03).
         labels: mesh: colours and names of what things are, in place of their own colours.
         robot_height: occupancy: what hangs higher than this is no obstacle, in metres.
-        log: the run's log, where it has moved; it says what is up.
+        log: the run's log, where it has moved: it tells objects apart, and says what is up.
         overwrite: replace the output.
     """
     from proground_log.api import open_run
@@ -159,6 +159,8 @@ def _objects(request: _Request) -> str:
 
     objects = request.run.objects(request.voxel_m)
     surface = request.run.surface(request.voxel_m)
+    if surface.caveat:
+        warn(surface.caveat)
     rows, task = object_rows(objects), surface.description.task
     write_objects_json(request.output, rows, task, surface.up)
     return f"{len(objects)} objects"
@@ -181,6 +183,8 @@ def _labelled(request: _Request) -> tuple[list[SceneObject], SurfaceLabels]:
 
     require_meaning(request.run.map, request.run.path)
     surface = request.run.surface(request.voxel_m)
+    if surface.caveat:
+        warn(surface.caveat)
     objects = surface.objects
     vertices = len(surface.mesh.vertices_m)
     return objects, label_surface(vertices, objects, surface.description.task)

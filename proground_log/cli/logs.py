@@ -31,7 +31,6 @@ def info_command(
         overwrite: replace the picture.
     """
     from proground_log.log.info import log_info
-    from proground_log.log.reader import LogReader
 
     info = log_info(log)
     if sheet is not None:
@@ -57,8 +56,8 @@ def info_command(
     if info.task is not None:
         rows["task"] = f"{info.task.name}: {', '.join(info.task.prompts)}"
         rows["regions"] = str(info.task.regions)
-    if warnings := LogReader(log).recording.warnings:
-        rows["warnings"] = "\n".join(warnings)
+    if info.warnings:
+        rows["warnings"] = "\n".join(info.warnings)
     print_table(str(log), rows)
     print_table("messages", {topic: str(count) for topic, count in info.messages.items()})
     return SAME

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from proground_log.cli.common import SAME, AsJson, MaybePath, Run, err, print_table
+from proground_log.cli.common import SAME, AsJson, MaybePath, Run, err, print_table, warn
 from proground_log.errors import ProgroundError
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def navigate_command(
         png: a floor plan with the way to draw (.png).
         rrd: a recording of the robot driving to write, for rerun (.rrd).
         overwrite: replace the picture and the recording.
-        log: the run's log, where it has moved; it says which way is up.
+        log: the run's log, where it has moved: it tells objects apart, and says what is up.
     """
     from proground_log.files import require_free
     from proground_log.navigation.floor_plan import Robot
@@ -82,6 +82,8 @@ def navigate_command(
             draw_route(png, journey.plan, journey.graph, journey.route, sight(journey))
         if rrd is not None:
             draw_journey(rrd, run, journey)
+    if journey.thing is not None and journey.surface.caveat:
+        warn(journey.surface.caveat)
     if as_json:
         print(json.dumps(_as_json(journey), indent=2))
         return SAME

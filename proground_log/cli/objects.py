@@ -7,7 +7,7 @@ import math
 
 from rich.table import Column, Table
 
-from proground_log.cli.common import SAME, AsJson, MaybePath, Run, err, out
+from proground_log.cli.common import SAME, AsJson, MaybePath, Run, err, out, warn
 
 
 def objects_command(
@@ -29,7 +29,7 @@ def objects_command(
         csv: a table to write (.csv).
         rrd: a recording of the objects to write, for rerun (.rrd).
         overwrite: replace these files.
-        log: the run's log, where it has moved; it says what is up and how often things were seen.
+        log: the run's log, where it has moved: it tells objects apart.
     """
     from proground_log.files import require_free
     from replay.objects import draw_objects, object_rows, surface_of_run, write_objects_csv
@@ -44,6 +44,8 @@ def objects_command(
             write_objects_csv(csv, objects)
         if rrd is not None:
             draw_objects(rrd, surface)
+    if surface.caveat:
+        warn(surface.caveat)
     if as_json:
         print(json.dumps(object_rows(objects), indent=2))
         return SAME

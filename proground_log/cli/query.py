@@ -9,7 +9,7 @@ import tyro
 from rich.table import Column, Table
 from tyro.conf import Positional
 
-from proground_log.cli.common import SAME, AsJson, MaybePath, Run, err, out
+from proground_log.cli.common import SAME, AsJson, MaybePath, Run, err, out, warn
 from proground_log.errors import ProgroundError
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def query_command(
         as_json: print JSON, for programs.
         rrd: a recording of the answers to write, for rerun (.rrd).
         overwrite: replace that recording.
-        log: the run's log, where it has moved; for --image, and for what is up.
+        log: the run's log, where it has moved: it tells objects apart, and --image needs it.
     """
     from proground_log.files import require_free
     from replay.evaluate import Texts
@@ -74,6 +74,8 @@ def query_command(
         )
         if rrd is not None:
             draw_answers(rrd, surface, answers)
+    if surface.caveat:
+        warn(surface.caveat)
     if as_json:
         print(json.dumps([_as_json(answer) for answer in answers], indent=2))
         return SAME
@@ -136,4 +138,4 @@ def _why_nothing(answer: Answer) -> str:
     best = f"the best {measure.name} of an object is {answer.best:.2f}"
     if answer.best < measure.threshold:
         return f"{best}, and {measure.threshold:.2f} is needed"
-    return f"{best}, but another text fits that better, or its colour or place is not as asked"
+    return f"{best}, but another text fits that better, or it is not as asked besides"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -79,7 +80,7 @@ def score_instances(
     class are matched one to one by falling IoU, then by rising numbers.
 
     Crowds are treated as in COCO (Lin et al., ECCV 2014): they need not be found, and what is found
-    and lies for the most part on those of its class is not counted either.
+    and lies for the most part on those of its class is not counted either, unless it is matched.
 
     Args:
         true_vertices_m: float [T, 3].
@@ -105,7 +106,7 @@ def score_instances(
     taken: set[int] = set()
     for iou, true, found in sorted(overlaps, key=lambda pair: (-pair[0], *pair[1:])):
         is_free = true not in matched_iou and found not in taken and true not in crowds
-        if is_free and true_classes[true] == classes[found]:
+        if iou >= min(ious) and is_free and true_classes[true] == classes[found]:
             matched_iou[true] = float(iou)
             taken.add(found)
 
@@ -144,12 +145,11 @@ def find_crowds(
     Returns:
         The numbers of those in rows of `CROWD` or more neighbours.
     """
-    on_object = np.flatnonzero(objects >= 0)
-    near = cKDTree(vertices_m[on_object]).query_pairs(nearer_than_m, output_type="ndarray")
-    first, second = objects[on_object[near]].T
-    kind = np.unique(np.array(classes, str), return_inverse=True)[1]
-    alike = (first != second) & (kind[first] == kind[second])
-    pairs = np.stack([first[alike], second[alike]])
-    links = coo_array((np.ones(pairs.shape[1], bool), tuple(pairs)), shape=(len(classes),) * 2)
+    trees = [cKDTree(vertices_m[objects == number]) for number in range(len(classes))]
+    links = np.zeros((len(classes),) * 2, bool)
+    for one, other in combinations(range(len(classes)), 2):
+        if classes[one] == classes[other]:
+            # Counted, not listed: dense meshes have more near pairs than fit into memory.
+            links[one, other] = trees[one].count_neighbors(trees[other], nearer_than_m) > 0
     _, row = connected_components(links, directed=False)
     return frozenset(np.flatnonzero(np.bincount(row)[row] >= CROWD).tolist())

@@ -20,7 +20,7 @@ class LogInfo:
     Args:
         path: of the file.
         size_bytes: of the file.
-        source, format, frames, notes: as recorded.
+        source, format, frames, notes, warnings: as recorded.
         duration_s: from the first frame to the last.
         color_camera, depth_camera: size, intrinsics (pixel centres at +0.5) and distortion.
         registered: whether both are the same camera.
@@ -38,6 +38,7 @@ class LogInfo:
     format: str
     frames: int
     notes: dict[str, str]
+    warnings: tuple[str, ...]
     duration_s: float
     color_camera: dict[str, object]
     depth_camera: dict[str, object]
@@ -68,6 +69,7 @@ def log_info(path: Path) -> LogInfo:
         format=recording.format,
         frames=recording.frames,
         notes=recording.notes,
+        warnings=recording.warnings,
         duration_s=duration_s,
         color_camera=_camera(calibration.color),
         depth_camera=_camera(calibration.depth),

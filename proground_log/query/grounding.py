@@ -131,7 +131,7 @@ def background_probability(scale_logits: np.ndarray, uncertainty: np.ndarray) ->
 
 
 def relevance_to(
-    query: int, logits: np.ndarray, background: np.ndarray, *, margin: float = MARGIN
+    asked: np.ndarray, best: np.ndarray, background: np.ndarray, *, margin: float = MARGIN
 ) -> np.ndarray:
     """Relevance of vertices to one text, that of the detector, where no other text fits better.
 
@@ -141,16 +141,15 @@ def relevance_to(
     "chair" found.
 
     Args:
-        query: column of the text that is asked for.
-        logits: [V, K] of `vertex_logits`, for the query and the texts it competes with.
+        asked: [V], logits of the text that is asked for.
+        best: [V], of the best of the texts that it competes with; it may be one of these.
         background: [V] of `background_probability`.
         margin: how far the query may stay below the best text, in logits.
 
     Returns:
         float32 [V] in [0, 1]: sigmoid of the query's logit, 0 where it has no claim.
     """
-    asked = logits[:, query]
-    claimed = (asked >= logits.max(axis=1) - margin) & (background < BACKGROUND)
+    claimed = (asked >= best - margin) & (background < BACKGROUND)
     return np.where(claimed, expit(asked), 0).astype(np.float32)
 
 

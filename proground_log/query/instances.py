@@ -11,6 +11,8 @@ from scipy.spatial import cKDTree
 
 EXTENT_PERCENTILES = (2, 98)
 """An extent leaves out so much on either side: a few stray vertices would stretch it."""
+GAP_VOXELS = 3
+"""Vertices this near are of one thing: a crack of a voxel or two must not split it."""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from proground_log.query.association import associate
 from proground_log.query.boxes import box_around
-from proground_log.query.instances import instance_of
+from proground_log.query.instances import GAP_VOXELS, instance_of
 from proground_log.query.objects import LEAST_RELEVANCE, SceneObject
 from proground_log.query.sightings import LEAST_AREA_M2, Sightings
 from proground_log.query.surface import Mesh
@@ -28,8 +28,6 @@ LEAST_VIEWS, FRAMES_PER_VIEW = 5, 20
 view in each 20 frames, and one, will do."""
 RIM = 0.4
 """Of how often an object's better vertices are covered: what is less is its rim."""
-GAP_VOXELS = 3
-"""Vertices this near are of one piece: a crack of a voxel or two must not split it."""
 FRAGMENT = 0.2
 """What is smaller than this share of a neighbour of its label may be a piece of it. Mean F1 at IoU
 0.25 in four built-in rooms is 87.7 %, and 84.4 if no pieces join."""

@@ -58,8 +58,8 @@ def parse_query(text: str, known: Collection[str] = ()) -> Query:
             "picture on wall" or "white board" is a prompt of the task, it is that thing.
 
     Raises:
-        ProgroundError: a part is missing, a colour has no thing, or "not" stands where nothing
-            comes before it.
+        ProgroundError: a part is missing, a colour has no thing, "not" stands where nothing comes
+            before it, or a colour alone comes after it.
 
     >>> parse_query("a red cup, not mug, on the table").other
     Query(name='table', color=None, without=(), relation=None, other=None)
@@ -91,16 +91,24 @@ def _thing(words: str, whole: str, known: Collection[str]) -> Query:
         if not part.startswith("not "):
             raise _fault(f"says {part!r} after a comma, where only 'not' can be", whole)
         without.append(_bare(part.removeprefix("not ")))
+        if _is_color(without[-1], known):
+            raise _fault(f"says {without[-1]!r} after 'not', where only a thing can be", whole)
     color = None
     word, _, noun = name.partition(" ")
     if name not in known and noun and OTHER_WORDS.get(word, word) in COLORS:
         color, name = OTHER_WORDS.get(word, word), noun
     if not all((name, *without)) or name == "not" or name.startswith("not "):
         raise _fault("has a part that names no thing", whole)
-    if name not in known and OTHER_WORDS.get(name, name) in COLORS and name not in _THINGS_TOO:
+    if _is_color(name, known):
         todo = f'say of what, as in "{name} chair"'
         raise ProgroundError("a colour needs a thing", where=f"query {whole!r}", todo=todo)
     return Query(name, color, tuple(without))
+
+
+def _is_color(name: str, known: Collection[str]) -> bool:
+    """Whether a name is that of a colour, and of no thing."""
+    is_thing = name in known or name in _THINGS_TOO
+    return OTHER_WORDS.get(name, name) in COLORS and not is_thing
 
 
 def _bare(words: str) -> str:

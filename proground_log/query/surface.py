@@ -50,8 +50,8 @@ def extract_mesh(content: NeuralMap, voxel_m: float) -> Mesh:
     axes = [lower_m[i] + np.arange(counts[i]) * voxel_m for i in range(3)]
     near = observed.near_lattice(axes)
     sdf = np.ones(counts, np.float32)
-    # Some at a time, so that memory stays small at fine voxels; not slab by slab, since the hash
-    # grid is read once for all that are asked together.
+    # Some at a time, so that of all points at once only the numbers are kept, not the places; not
+    # slab by slab, since the hash grid is read once for all that are asked together.
     asked = np.flatnonzero(near)
     for start in range(0, len(asked), POINTS_AT_ONCE):
         some = np.unravel_index(asked[start : start + POINTS_AT_ONCE], near.shape)

@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import rerun as rr
 import rerun.blueprint as rrb
 
 from proground_log.events import MeshExtracted
-from proground_log.files import written_whole
 from proground_log.log.upright import nearest_axis
 from proground_log.query.objects import SceneObject, object_of_vertices
 from proground_log.telemetry.blueprint import BACKGROUND
 from proground_log.telemetry.boxes import boxes3d
-from proground_log.telemetry.rerun_sink import open_recording
+from proground_log.telemetry.rerun_sink import recording_written
 from proground_log.telemetry.surface import surface
 from proground_log.telemetry.upright import VIEW_COORDINATES
 
@@ -43,20 +41,15 @@ def write_objects_recording(
         colors: uint8 [N, 3], of their labels.
         up: the world's upward direction [3].
     """
-    recording = open_recording(recording_id)
-    # Rerun's own file sink waits forever once a disk is full: the bytes are written here.
-    stream = rr.binary_stream(recording)
-    recording.send_blueprint(_blueprint())
-    recording.log("world", VIEW_COORDINATES[nearest_axis(up)], static=True)
-    recording.log("world/map/color", surface(mesh, mesh.colors), static=True)
-    recording.log("world/map/objects", surface(mesh, _tinted(mesh, objects, colors)), static=True)
-    names = [f"{number} {thing.label}" for number, thing in enumerate(objects, start=1)]
-    boxes = boxes3d([thing.box for thing in objects], names, colors)
-    recording.log("world/objects", boxes, static=True)
-    content = stream.read(flush=True)
-    recording.disconnect()
-    with written_whole(path) as temporary:
-        temporary.write_bytes(content or b"")
+    with recording_written(path, recording_id) as recording:
+        recording.send_blueprint(_blueprint())
+        recording.log("world", VIEW_COORDINATES[nearest_axis(up)], static=True)
+        recording.log("world/map/color", surface(mesh, mesh.colors), static=True)
+        tinted = surface(mesh, _tinted(mesh, objects, colors))
+        recording.log("world/map/objects", tinted, static=True)
+        names = [f"{number} {thing.label}" for number, thing in enumerate(objects, start=1)]
+        boxes = boxes3d([thing.box for thing in objects], names, colors)
+        recording.log("world/objects", boxes, static=True)
 
 
 def _tinted(mesh: MeshExtracted, objects: Sequence[SceneObject], colors: np.ndarray) -> np.ndarray:

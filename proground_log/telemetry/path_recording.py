@@ -12,12 +12,11 @@ import rerun.blueprint as rrb
 from scipy.spatial.transform import Rotation
 
 from proground_log.events import MeshExtracted
-from proground_log.files import written_whole
 from proground_log.log.upright import nearest_axis
 from proground_log.query.boxes import OrientedBox
 from proground_log.telemetry.blueprint import BACKGROUND
 from proground_log.telemetry.boxes import boxes3d
-from proground_log.telemetry.rerun_sink import open_recording
+from proground_log.telemetry.rerun_sink import recording_written
 from proground_log.telemetry.surface import heat_colors, surface
 from proground_log.telemetry.upright import VIEW_COORDINATES
 
@@ -72,19 +71,13 @@ def write_path_recording(
         mesh: the map's surface.
         drawing: the way.
     """
-    recording = open_recording(recording_id)
-    # Rerun's own file sink waits forever once a disk is full: the bytes are written here.
-    stream = rr.binary_stream(recording)
-    recording.send_blueprint(_blueprint(drawing.name))
-    recording.log("world", VIEW_COORDINATES[nearest_axis(drawing.up)], static=True)
-    recording.log("world/map", surface(mesh, mesh.colors), static=True)
-    _log_floor(recording, drawing)
-    _log_way(recording, drawing)
-    _log_drive(recording, drawing)
-    content = stream.read(flush=True)
-    recording.disconnect()
-    with written_whole(path) as temporary:
-        temporary.write_bytes(content or b"")
+    with recording_written(path, recording_id) as recording:
+        recording.send_blueprint(_blueprint(drawing.name))
+        recording.log("world", VIEW_COORDINATES[nearest_axis(drawing.up)], static=True)
+        recording.log("world/map", surface(mesh, mesh.colors), static=True)
+        _log_floor(recording, drawing)
+        _log_way(recording, drawing)
+        _log_drive(recording, drawing)
 
 
 def _log_floor(recording: rr.RecordingStream, drawing: PathDrawing) -> None:

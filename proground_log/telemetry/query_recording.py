@@ -7,16 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import rerun as rr
 import rerun.blueprint as rrb
 
 from proground_log.events import MeshExtracted
-from proground_log.files import written_whole
 from proground_log.log.upright import nearest_axis
 from proground_log.query.boxes import OrientedBox
 from proground_log.telemetry.blueprint import BACKGROUND
 from proground_log.telemetry.boxes import boxes3d
-from proground_log.telemetry.rerun_sink import open_recording
+from proground_log.telemetry.rerun_sink import recording_written
 from proground_log.telemetry.surface import heat_colors, surface
 from proground_log.telemetry.upright import VIEW_COORDINATES
 
@@ -59,20 +57,14 @@ def write_query_recording(
         drawings: one a query.
         up: the world's upward direction [3].
     """
-    recording = open_recording(recording_id)
-    # Rerun's own file sink waits forever once a disk is full: the bytes are written here.
-    stream = rr.binary_stream(recording)
-    recording.send_blueprint(_blueprint([drawing.query for drawing in drawings]))
-    recording.log("world", VIEW_COORDINATES[nearest_axis(up)], static=True)
-    for number, drawing in enumerate(drawings):
-        colors = _glowing(mesh.colors, drawing.heat)
-        recording.log(f"world/map/relevance/{number}", surface(mesh, colors), static=True)
-        boxes = boxes3d(drawing.boxes, drawing.labels, BOX_COLOR)
-        recording.log(f"world/found/{number}", boxes, static=True)
-    content = stream.read(flush=True)
-    recording.disconnect()
-    with written_whole(path) as temporary:
-        temporary.write_bytes(content or b"")
+    with recording_written(path, recording_id) as recording:
+        recording.send_blueprint(_blueprint([drawing.query for drawing in drawings]))
+        recording.log("world", VIEW_COORDINATES[nearest_axis(up)], static=True)
+        for number, drawing in enumerate(drawings):
+            colors = _glowing(mesh.colors, drawing.heat)
+            recording.log(f"world/map/relevance/{number}", surface(mesh, colors), static=True)
+            boxes = boxes3d(drawing.boxes, drawing.labels, BOX_COLOR)
+            recording.log(f"world/found/{number}", boxes, static=True)
 
 
 def _glowing(colors: np.ndarray, heat: np.ndarray) -> np.ndarray:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +23,7 @@ from proground_log.events import (
     TaskKnown,
     ViewRendered,
 )
-from proground_log.files import disk_errors
+from proground_log.files import disk_errors, written_whole
 from proground_log.log.upright import nearest_axis, up_direction
 from proground_log.telemetry import images
 from proground_log.telemetry.blueprint import APPLICATION_ID, SEMANTIC_LOSSES, replay_blueprint
@@ -243,6 +245,24 @@ def open_recording(recording_id: str) -> rr.RecordingStream:
     recording.set_log_time_enabled(False)
     recording.set_log_tick_enabled(False)
     return recording
+
+
+@contextmanager
+def recording_written(path: Path, recording_id: str) -> Iterator[rr.RecordingStream]:
+    """Give a recording to fill, and write it once it is full; an error leaves the file as it was.
+
+    Args:
+        path: the .rrd file, replaced if it is there.
+        recording_id: tells it from others in one viewer.
+    """
+    recording = open_recording(recording_id)
+    # Into memory, and then to the disk, for the same reason as in `TelemetrySink`.
+    stream = rr.binary_stream(recording)
+    yield recording
+    content = stream.read(flush=True)
+    recording.disconnect()
+    with written_whole(path) as temporary:
+        temporary.write_bytes(content or b"")
 
 
 def pinhole(camera: Camera) -> rr.Pinhole:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import resource
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -122,6 +125,36 @@ def test_neighbours_are_as_near_as_is_said() -> None:
         assert crowds([0, 1, 2], ["book"] * 3, gap_m) == found
 
 
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10**6), kinds=st.integers(1, 3))
+def test_crowds_are_those_of_the_definition(seed: int, kinds: int) -> None:
+    draw = stream(seed, "crowds")
+    points_m, objects = draw.integers(0, 9, (30, 3)) * 0.5, draw.integers(-1, 9, 30)
+    classes = [f"class {kind}" for kind in draw.integers(0, kinds, 9)]
+    rows = [{number} for number in range(9)]
+    for a, b in zip(*np.triu_indices(30, 1), strict=True):
+        one, other = objects[[a, b]].tolist()
+        near = np.linalg.norm(points_m[a] - points_m[b]) <= 1.0
+        if near and min(one, other) >= 0 and classes[one] == classes[other]:
+            row = rows[one] | rows[other]
+            for number in row:
+                rows[number] = row
+    expected = {number for number in range(9) if len(rows[number]) >= 3}
+    assert find_crowds(points_m, objects, classes, 1.0) == expected
+
+
+def test_dense_objects_take_no_memory_for_their_near_pairs() -> None:
+    """Of three objects of 4000 vertices all 72 million pairs are near: a gigabyte, if listed."""
+    points_m = stream(0, "dense").uniform(0, 0.01, (12_000, 3))
+    limits = resource.getrlimit(resource.RLIMIT_AS)
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used + 200_000_000, limits[1]))
+    try:
+        assert find_crowds(points_m, np.arange(12_000) % 3, ["book"] * 3, 0.1) == {0, 1, 2}
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, limits)
+
+
 def test_a_row_is_a_chain_and_may_bend() -> None:
     points_m = np.array([[0.0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0.1, 0.1, 0.1], [5, 5, 5]])
     found = find_crowds(points_m, np.arange(5), ["book"] * 5, 0.11)
@@ -169,3 +202,17 @@ def test_a_book_that_stands_alone_is_judged_beside_a_crowd() -> None:
         ROW_M, true, books, ROW_M, found, ["book"], crowds=lonely, ious=(0.25,)
     )
     assert (scores.total.true, scores.total.found, scores.total.matched) == (1, 1, {0.25: 1})
+
+
+@pytest.mark.parametrize(("ious", "found"), [((0.25,), 0), ((0.1, 0.25), 1), ((0.5, 0.1), 1)])
+def test_what_hardly_touches_a_book_that_stands_alone_is_no_claim_to_it(
+    ious: tuple[float, ...], found: int
+) -> None:
+    true = np.array([0, 0, 1, 1, 2, 2, -1, -1, 3, 3] + [-1] * 30)
+    # All of the crowd, and one vertex of the lone book's two: an IoU of 1 in 8.
+    claimed = np.array([0] * 6 + [-1, -1, 0] + [-1] * 31)
+    scores = score_instances(
+        ROW_M, true, ["book"] * 4, ROW_M, claimed, ["book"], crowds={0, 1, 2}, ious=ious
+    )
+    assert (scores.total.true, scores.total.found) == (1, found)
+    assert scores.total.matched == {iou: int(iou <= 1 / 8) for iou in ious}

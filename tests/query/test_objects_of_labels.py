@@ -9,7 +9,7 @@ from proground_log.query.boxes import box_around
 from proground_log.query.instances import Instance
 from proground_log.query.objects import SceneObject, object_of_vertices
 from proground_log.query.objects_of_labels import (
-    LEAST_AREA_M2,
+    LEAST_SPOT_M2,
     objects_of_labels,
     without_duplicates,
 )
@@ -89,7 +89,7 @@ def test_two_things_of_one_prompt_with_background_between_are_two() -> None:
 def test_what_is_small_or_hardly_relevant_is_no_object() -> None:
     mesh = sheet(30, 30, VOXEL_M)
     shape = (30, 30)
-    side = int(np.sqrt(LEAST_AREA_M2) / VOXEL_M)
+    side = int(np.sqrt(LEAST_SPOT_M2) / VOXEL_M)
     speck = patch(slice(0, side), slice(0, side), shape)
     background = np.where(speck | patch(slice(10, 20), slice(10, 20), shape), 1e-6, 1 - 1e-6)
     unlikely = np.tile(np.array([-5.0, -9.0]), (900, 1))

@@ -18,6 +18,7 @@ from proground_log.query.parse import Query, parse_query
         ("orange", Query("orange")),
         ("chair, not sofa", Query("chair", without=("sofa",))),
         ("chair, not a sofa, not stool", Query("chair", without=("sofa", "stool"))),
+        ("lemon, not orange, not red ball", Query("lemon", without=("orange", "red ball"))),
         ("cup on table", Query("cup", relation="on", other=Query("table"))),
         ("cup on top of the table", Query("cup", relation="on", other=Query("table"))),
         ("chair next to sink", Query("chair", relation="near", other=Query("sink"))),
@@ -48,6 +49,7 @@ def test_a_known_name_is_one_word_whatever_it_says() -> None:
     )
     assert parse_query("black picture on wall", known) == Query("picture on wall", "black")
     assert parse_query("red", ("red",)) == Query("red")
+    assert parse_query("chair, not red", ("red",)) == Query("chair", without=("red",))
     assert parse_query("white board", ()) == Query("board", "white")
 
 
@@ -65,6 +67,8 @@ def test_the_names_of_a_question_are_all_that_need_an_embedding() -> None:
         ("not sofa", "names no thing"),
         ("chair, sofa", "only 'not' can be"),
         ("chair, not the", "names no thing"),
+        ("chair, not red", "says 'red' after 'not', where only a thing can be"),
+        ("cup on table, not sofa, not a gray", "says 'gray' after 'not'"),
         ("the", "names no thing"),
         ("red", "query 'red': a colour needs a thing; say of what, as in \"red chair\""),
         ("a Grey", "a colour needs a thing"),

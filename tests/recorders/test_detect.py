@@ -112,7 +112,7 @@ def test_empty_folders_files_and_nothing_are_told_apart(tmp_path: Path) -> None:
     for name, message in (
         ("folder", "an empty folder"),
         ("file", "a file of 5 bytes"),
-        ("nothing", "nothing: no such file or folder"),
+        ("nothing", "nothing: no such folder or file"),
     ):
         with pytest.raises(ProgroundError, match=message):
             detect(tmp_path / name)

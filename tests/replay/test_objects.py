@@ -25,6 +25,7 @@ from proground_log.query.sightings import find_sightings
 from recorders.room import RoomSource
 from replay.evaluate import evaluate_run
 from replay.evaluate_objects import ObjectScores, object_table
+from replay.manifest import Manifest
 from replay.objects import object_rows, surface_of_run
 from replay.run_folder import RunFolder
 from replay.session import replay
@@ -102,6 +103,29 @@ def test_without_its_log_a_run_lists_what_its_map_alone_tells_apart(
         assert max(overlap(t, class_name) for t in listed if t.label == class_name) > 0.3
     with pytest.raises(ProgroundError, match="nowhere"):
         surface_of_run(elsewhere, VOXEL_M, Path("/nowhere.mcap"))
+
+
+def test_who_lists_objects_of_the_map_alone_is_told_why(
+    run: Path, room_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    objects_command(run, voxel_m=VOXEL_M)
+    assert "warning" not in capsys.readouterr().err
+    elsewhere = without_log(run, tmp_path / "gone")
+    objects_command(elsewhere, voxel_m=VOXEL_M, as_json=True)
+    gone = capsys.readouterr()
+    assert "log is not at hand" in gone.err
+    assert "--log" in gone.err
+    # Another log where the run's was does not stop it, but naming that log does.
+    manifest = Manifest.read(RunFolder(run).manifest)
+    shutil.copytree(run, tmp_path / "run")
+    replaced = RunFolder(tmp_path / "run")
+    replace(manifest, log_path=str(room_log)).write(replaced.manifest)
+    objects_command(replaced.path, voxel_m=VOXEL_M, as_json=True)
+    other = capsys.readouterr()
+    assert other.out == gone.out
+    assert "another one" in other.err
+    with pytest.raises(ProgroundError, match="check the path"):
+        objects_command(replaced.path, voxel_m=VOXEL_M, log=room_log)
 
 
 def test_a_log_that_has_moved_gives_the_same_objects(

@@ -437,6 +437,25 @@ def test_colours_negatives_and_relations_only_take_things_away(run: Path) -> Non
         assert 0 < (answer.scores > 0).sum() < (plain.scores > 0).sum()
 
 
+def test_a_query_for_what_is_irrelevant_to_the_task_says_so(run: Path) -> None:
+    answer = answer_of(run, "rug")
+    assert answer.things == ()
+    assert answer.notes == ("'rug' is irrelevant to the task: no object is of it",)
+
+
+def test_what_is_asked_is_understood_before_the_surface_is_extracted(
+    run: Path, encoder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("replay.query.surface_of", lambda *_: pytest.fail("began to work"))
+    (tmp_path / "no.png").write_bytes(b"no picture")
+    with pytest.raises(ProgroundError, match="cannot be read as an image"):
+        query_run(run, [], VOXEL_M, 5, image=ImageQuery(tmp_path / "no.png", encoder))
+    with pytest.raises(ProgroundError, match="elephant"):
+        query_run(run, ["elephant"], VOXEL_M, 5)
+    with pytest.raises(ProgroundError, match="best 0"):
+        query_run(run, ["sofa"], VOXEL_M, 0)
+
+
 def test_a_query_outside_the_task_says_so(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     _, (sofa, couch) = query_run(run, ["sofa", "sofa, not couch"], VOXEL_M, 5)
     assert sofa.notes == ()

@@ -169,14 +169,17 @@ def test_what_most_frames_take_for_one_is_one() -> None:
     assert groups_of(sightings_of(looks, 20)) == [[*range(20)]]
 
 
-@pytest.mark.parametrize(("same", "joined"), [(6, False), (7, False), (8, True)])
-def test_two_are_one_from_the_stated_share_of_agreement_on(same: int, joined: bool) -> None:
-    """Of 20 frames so many say "the same": 0.35 of 20 is 7."""
+@pytest.mark.parametrize(("shared", "groups"), [(34, [[0], [1]]), (36, [[0, 1]])])
+def test_two_are_one_if_more_than_the_stated_share_agrees(
+    shared: int, groups: list[list[int]]
+) -> None:
+    """Each of two frames says "the same" of so many hundredths of its region and the other's."""
     assert CONSENSUS == 0.35
-    looks = [(EVERYTHING, [LEFT, RIGHT])] * (20 - same) + [(EVERYTHING, [LEFT | RIGHT])] * same
-    found, seen = consensus(sightings_of(looks, 20))
-    assert (found[0, 1], seen[0, 1]) == (same, 20)
-    assert (found[0, 1] - CONSENSUS * seen[0, 1] > 1e-9) == joined
+    places = np.arange(200 - shared)
+    first, second = places < 100, places >= 100 - shared
+    everything = np.ones(len(places), bool)
+    looks = [(everything, [first]), (everything, [second])]
+    assert groups_of(sightings_of(looks, len(places))) == groups
 
 
 def test_frames_that_see_only_one_of_two_say_nothing_of_both() -> None:
