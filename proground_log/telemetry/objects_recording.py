@@ -15,7 +15,7 @@ from proground_log.telemetry.blueprint import BACKGROUND
 from proground_log.telemetry.boxes import boxes3d
 from proground_log.telemetry.rerun_sink import recording_written
 from proground_log.telemetry.surface import surface
-from proground_log.telemetry.upright import VIEW_COORDINATES
+from proground_log.telemetry.upright import VIEW_COORDINATES, overview
 
 TINT = 0.7
 """Of an object's colour in the map's own: so much that one sees what it is of, and its shape."""
@@ -42,7 +42,8 @@ def write_objects_recording(
         up: the world's upward direction [3].
     """
     with recording_written(path, recording_id) as recording:
-        recording.send_blueprint(_blueprint())
+        eye = overview(mesh.vertices_m, up)
+        recording.send_blueprint(_blueprint(eye))
         recording.log("world", VIEW_COORDINATES[nearest_axis(up)], static=True)
         recording.log("world/map/color", surface(mesh, mesh.colors), static=True)
         tinted = surface(mesh, _tinted(mesh, objects, colors))
@@ -63,7 +64,7 @@ def _tinted(mesh: MeshExtracted, objects: Sequence[SceneObject], colors: np.ndar
     return tinted.round().astype(np.uint8)
 
 
-def _blueprint() -> rrb.Blueprint:
+def _blueprint(eye: rrb.EyeControls3D) -> rrb.Blueprint:
     views = [
         rrb.Spatial3DView(
             origin="world",
@@ -71,6 +72,7 @@ def _blueprint() -> rrb.Blueprint:
             name=name,
             background=rrb.Background(color=BACKGROUND),
             line_grid=rrb.LineGrid3D(visible=False),
+            eye_controls=eye,
         )
         for layer, name in (("color", "Objects"), ("objects", "What belongs to them"))
     ]

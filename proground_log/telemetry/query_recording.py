@@ -16,7 +16,7 @@ from proground_log.telemetry.blueprint import BACKGROUND
 from proground_log.telemetry.boxes import boxes3d
 from proground_log.telemetry.rerun_sink import recording_written
 from proground_log.telemetry.surface import heat_colors, surface
-from proground_log.telemetry.upright import VIEW_COORDINATES
+from proground_log.telemetry.upright import VIEW_COORDINATES, overview
 
 BOX_COLOR = (255, 90, 60)
 """Apart from all of the heat's colours."""
@@ -58,7 +58,8 @@ def write_query_recording(
         up: the world's upward direction [3].
     """
     with recording_written(path, recording_id) as recording:
-        recording.send_blueprint(_blueprint([drawing.query for drawing in drawings]))
+        eye = overview(mesh.vertices_m, up)
+        recording.send_blueprint(_blueprint([drawing.query for drawing in drawings], eye))
         recording.log("world", VIEW_COORDINATES[nearest_axis(up)], static=True)
         for number, drawing in enumerate(drawings):
             colors = _glowing(mesh.colors, drawing.heat)
@@ -77,7 +78,7 @@ def _glowing(colors: np.ndarray, heat: np.ndarray) -> np.ndarray:
     return ((1 - share) * gray + share * heat_colors(heat)).round().astype(np.uint8)
 
 
-def _blueprint(queries: Sequence[str]) -> rrb.Blueprint:
+def _blueprint(queries: Sequence[str], eye: rrb.EyeControls3D) -> rrb.Blueprint:
     views = [
         rrb.Spatial3DView(
             origin="world",
@@ -85,6 +86,7 @@ def _blueprint(queries: Sequence[str]) -> rrb.Blueprint:
             name=query,
             background=rrb.Background(color=BACKGROUND),
             line_grid=rrb.LineGrid3D(visible=False),
+            eye_controls=eye,
         )
         for number, query in enumerate(queries)
     ]
