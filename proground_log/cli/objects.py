@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 
 from rich.table import Column, Table
 
@@ -32,7 +31,7 @@ def objects_command(
         log: the run's log, where it has moved: it tells objects apart.
     """
     from proground_log.files import require_free
-    from replay.objects import draw_objects, object_rows, surface_of_run, write_objects_csv
+    from replay.objects import draw_objects, object_rows, rounded, surface_of_run, write_objects_csv
 
     for output in (csv, rrd):
         if output is not None:
@@ -52,16 +51,15 @@ def objects_command(
     table = Table(
         Column("", justify="right"),
         Column("object", overflow="fold"),
-        *(Column(name, justify="right") for name in ("position m", "extent m", "yaw", "score")),
+        *(Column(name, justify="right") for name in ("position m", "extent m", "score")),
         Column("views", justify="right"),
     )
     for number, thing in enumerate(objects, start=1):
         table.add_row(
             str(number),
             thing.label,
-            "  ".join(f"{value:.2f}" for value in thing.instance.position_m + 0.0),
-            " x ".join(f"{value:.2f}" for value in thing.box.extent_m),
-            f"{math.degrees(thing.box.yaw_rad):.0f}°",
+            " ".join(f"{value:.2f}" for value in rounded(thing.instance.position_m)),
+            "x".join(f"{value:.2f}" for value in thing.box.extent_m),
             f"{thing.instance.score:.2f}",
             "" if thing.views is None else str(thing.views),
         )

@@ -120,9 +120,11 @@ def _print(answers: list[Answer]) -> None:
     )
     for answer in answers:
         for rank, thing in enumerate(answer.things, start=1):
-            position = "  ".join(f"{value:.2f}" for value in rounded(thing.instance.position_m))
-            extent = " x ".join(f"{value:.2f}" for value in thing.box.extent_m)
-            score = f"{answer.measure.name} {thing.instance.score:.2f}"
+            position = " ".join(f"{value:.2f}" for value in rounded(thing.instance.position_m))
+            extent = "x".join(f"{value:.2f}" for value in thing.box.extent_m)
+            # A relevance goes without saying; a z-score does not.
+            unit = "" if answer.measure.name == "relevance" else f"{answer.measure.name} "
+            score = f"{unit}{thing.instance.score:.2f}"
             table.add_row(answer.query, str(rank), thing.label, position, extent, score)
     if table.row_count:
         out.print(table)
