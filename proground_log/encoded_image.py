@@ -10,6 +10,8 @@ PNG_START = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
 _PNG_SIZE = struct.Struct(">II")
 _PNG_CHUNK = struct.Struct(">I4s")
 _PNG_FIRST_CHUNK, _PNG_CHECKSUM_BYTES = 8, 4
+_PNG_END_CHECKSUM = b"\xaeB`\x82"
+"""Of the chunk that ends a file, and so its last bytes; it has no content."""
 
 
 def is_whole(data: bytes, image_format: str) -> bool:
@@ -27,7 +29,7 @@ def png_is_whole(data: bytes) -> bool:
         length, kind = _PNG_CHUNK.unpack_from(data, at)
         at += _PNG_CHUNK.size + length + _PNG_CHECKSUM_BYTES
         if kind == b"IEND":
-            return at <= len(data)
+            return data[at - _PNG_CHECKSUM_BYTES : at] == _PNG_END_CHECKSUM
     return False
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
@@ -55,6 +55,7 @@ def test_color_keeps_its_bytes(tmp_path: Path, suffix: str, kind: str, padding: 
 @settings(
     max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
+@example(kept=np.nextafter(1, 0), zeros=True)
 @given(kept=st.floats(0, 1, exclude_max=True), zeros=st.booleans())
 def test_color_cut_anywhere_is_refused(
     tmp_path: Path, suffix: str, kept: float, zeros: bool
