@@ -12,8 +12,8 @@ from typing import Any
 from benchmarks.query import MESH_VOXEL_M
 from benchmarks.rows import SHARED_DATA, Row, median_seconds
 from proground_log.mapping.map_file import load_map
-from proground_log.query.surface import extract_mesh
-from replay.run_folder import RunFolder
+from proground_log.query.mesh import extract_mesh
+from proground_log.run.folder import RunFolder
 
 KITCHEN = SHARED_DATA / "7scenes_redkitchen" / "seq-01"
 HOUSE = SHARED_DATA / "aws_small_house_labelled"
@@ -22,7 +22,7 @@ PROTOCOL = ["--hold-out-every", "10", "--steps", "10", "--mapper.sampling.rays",
 
 def pglog(*arguments: str) -> str:
     """Run a command as a user would and return what it printed."""
-    command = [sys.executable, "-m", "proground_log.cli", *arguments]
+    command = [sys.executable, "-m", "pglog", *arguments]
     result = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
     return result.stdout
 

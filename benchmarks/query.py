@@ -14,7 +14,7 @@ from proground_log.mapping.map_file import NeuralMap, load_map, save_map
 from proground_log.mapping.semantic_map import SemanticMap
 from proground_log.perception.texts import of_length_1
 from proground_log.query.grounding import ask_map, relevance_to
-from proground_log.query.surface import extract_mesh
+from proground_log.query.mesh import extract_mesh
 from proground_log.streams import stream
 from replay.device import choose_device
 

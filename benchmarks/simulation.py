@@ -10,8 +10,8 @@ from typing import Any
 from benchmarks.mapping import KITCHEN, pglog
 from benchmarks.rows import Row
 from proground_log.log.reader import LogReader
-from replay.cost_model import CostModel
-from replay.manifest import Manifest
+from proground_log.run.cost_model import CostModel
+from proground_log.run.manifest import Manifest
 from replay.plan import Plan
 from replay.scheduler import Policy, Timing, schedule
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 import proground_log as pg
-from proground_log.perception.simulated import SimulatedPerception
+from proground_log.perception.simulated.perceiver import SimulatedPerception
 from proground_log.perception.task import Task
-from replay.config import ReplayConfig, SimulationConfig, TelemetryConfig
+from proground_log.run.settings import ReplayConfig, SimulationConfig, TelemetryConfig
 from replay.session import replay
 
 folder = Path(sys.argv[1])

@@ -14,11 +14,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from proground_log.errors import ProgroundError
+from proground_log.version import __version__
 
 if TYPE_CHECKING:
     from proground_log.api import Run, open_log, open_run
 
-__version__ = "0.1.0"
 __all__ = ["ProgroundError", "Run", "__version__", "open_log", "open_run"]
 
 

@@ -26,12 +26,12 @@ if TYPE_CHECKING:
     from proground_log.log.reader import LogReader
     from proground_log.mapping.map_file import NeuralMap
     from proground_log.navigation.floor_plan import Robot
+    from proground_log.navigation.journey import Journey
+    from proground_log.query.ask import Answer
+    from proground_log.query.mesh import Mesh
     from proground_log.query.objects import SceneObject
-    from proground_log.query.surface import Mesh
-    from replay.manifest import Manifest
-    from replay.navigate import Journey
-    from replay.query import Answer
-    from replay.surface import Surface
+    from proground_log.query.surface import Surface
+    from proground_log.run.manifest import Manifest
 
 
 def open_log(path: str | Path) -> LogReader:
@@ -58,7 +58,7 @@ def open_run(path: str | Path, *, log: str | Path | None = None) -> Run:
     Raises:
         ProgroundError: there is no finished run.
     """
-    from replay.run_folder import RunFolder
+    from proground_log.run.folder import RunFolder
 
     folder = RunFolder(Path(path)).require_finished()
     return Run(folder.path, None if log is None else located(str(log)))
@@ -73,7 +73,7 @@ class Run:
     """
 
     def __init__(self, path: Path, log_path: Path | None = None) -> None:
-        from replay.run_folder import RunFolder
+        from proground_log.run.folder import RunFolder
 
         self.path = path
         self._folder, self._log_path = RunFolder(path), log_path
@@ -82,14 +82,14 @@ class Run:
     @cached_property
     def manifest(self) -> Manifest:
         """What made the run (`manifest.config`) and its summary (`manifest.result`)."""
-        from replay.manifest import Manifest
+        from proground_log.run.manifest import Manifest
 
         return Manifest.read(self._folder.manifest)
 
     @cached_property
     def log(self) -> LogReader:
         """The log that the run was made of; raises a ProgroundError where it is another."""
-        from replay.manifest import open_log_of
+        from proground_log.run.manifest import open_log_of
 
         return open_log_of(self.manifest, self._log_path)
 
@@ -115,7 +115,7 @@ class Run:
         Raises:
             ProgroundError: the ledger was changed.
         """
-        from replay.ledger import read_ledger
+        from proground_log.run.ledger import read_ledger
 
         for entry in read_ledger(self._folder.ledger):
             if kind is None or entry["event"] == kind:
@@ -128,7 +128,7 @@ class Run:
         Terms are unweighted, but "total" is the weighted sum. "step" and "frame" are int64 [S],
         the step's number and that of the newest frame; "sim_time_ns" is simulated time.
         """
-        from replay.ledger import bits_float
+        from proground_log.run.ledger import bits_float
 
         steps = list(self.events("step"))
         terms = dict.fromkeys(name for step in steps for name in step["losses"])
@@ -171,7 +171,7 @@ class Run:
         Raises:
             ProgroundError: the map has no surface.
         """
-        from replay.surface import surface_of
+        from proground_log.query.surface import surface_of
 
         if self._surface is not None and self._surface.voxel_m == voxel_m:
             return self._surface.mesh
@@ -184,7 +184,7 @@ class Run:
         The one that was made last is kept. Arguments and errors as for `mesh`; besides it is an
         error if the log is another.
         """
-        from replay.surface import surface_of
+        from proground_log.query.surface import surface_of
 
         if self._surface is None or self._surface.voxel_m != voxel_m:
             self._surface = surface_of(self._folder, self.map, voxel_m, self._log_if_there)
@@ -198,7 +198,7 @@ class Run:
         Raises:
             ProgroundError: the map knows no meaning or has no surface, or the log is another.
         """
-        from replay.surface import require_meaning
+        from proground_log.query.surface import require_meaning
 
         require_meaning(self.map, self.path)
         return self.surface(voxel_m).objects
@@ -224,9 +224,9 @@ class Run:
         Raises:
             ProgroundError: the map knows no meaning, or nobody knows the text.
         """
-        from replay.evaluate import Texts
-        from replay.query import query_surface, understand
-        from replay.surface import require_meaning
+        from proground_log.perception.map_texts import Texts
+        from proground_log.query.ask import query_surface, understand
+        from proground_log.query.surface import require_meaning
 
         require_meaning(self.map, self.path)
         assert self.map.semantics is not None
@@ -255,8 +255,8 @@ class Run:
             ProgroundError: there is no such way, floor or thing; it says why.
         """
         from proground_log.navigation.floor_plan import Robot
-        from replay.navigate import navigate_surface
-        from replay.surface import require_meaning
+        from proground_log.navigation.journey import navigate_surface
+        from proground_log.query.surface import require_meaning
 
         if isinstance(goal, str):
             require_meaning(self.map, self.path)
@@ -264,6 +264,6 @@ class Run:
 
     @cached_property
     def _log_if_there(self) -> LogReader | None:
-        from replay.surface import log_if_there
+        from proground_log.query.surface import log_if_there
 
         return log_if_there(self._folder, self._log_path)

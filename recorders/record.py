@@ -9,7 +9,7 @@ from pathlib import Path
 from proground_log.errors import ProgroundError
 from proground_log.files import partial_of, require_free
 from proground_log.frame import Selection
-from proground_log.log.consistency import Consistency
+from proground_log.log.checking.consistency import Consistency
 from proground_log.log.recording import Origin, Recording
 from proground_log.log.writer import LogWriter, open_writer
 from recorders.bounds import BoundsEstimator

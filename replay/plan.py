@@ -8,8 +8,8 @@ from typing import NamedTuple
 from proground_log.camera import Calibration
 from proground_log.errors import ProgroundError
 from proground_log.log.reader import LogReader
-from replay.config import ReplayConfig
-from replay.cost_model import CostModel
+from proground_log.run.cost_model import CostModel
+from proground_log.run.settings import ReplayConfig
 from replay.scheduler import Policy, Slot, Timing, schedule
 
 NS_PER_MS = 1_000_000
@@ -58,9 +58,7 @@ class Plan:
         self.chosen = config.selection.of(len(reader))[: config.max_frames]
         self.policy = _policy(config)
         self.timing = _timing(reader.calibration, config, cost_model, perceives=perceives)
-        every = config.hold_out_every
-        numbers = enumerate(self.chosen, start=1)
-        self.held_out = [frame for n, frame in numbers if every > 0 and n % every == 0]
+        self.held_out = config.held_out(len(reader))
         self._arrivals_ns = self._arrivals(reader, config)
 
     def _arrivals(self, reader: LogReader, config: ReplayConfig) -> dict[int, int]:
@@ -167,3 +165,44 @@ def _timing(
         step_ns=step_ns,
         learn_ns=cost_model.cost_ns("semantic_insert", depth_pixels) if perceives else 0,
     )
+
+
+class CutPlan(Plan):
+    """The plan of a run, up to some step of a mapped frame.
+
+    Args:
+        reader, config, cost_model, perceives: as for `Plan`.
+        frame: number of the frame in its log.
+        steps: the frame's steps up to there, at least 1.
+    """
+
+    def __init__(
+        self,
+        reader: LogReader,
+        config: ReplayConfig,
+        cost_model: CostModel,
+        *,
+        perceives: bool,
+        frame: int,
+        steps: int,
+    ) -> None:
+        super().__init__(reader, config, cost_model, perceives=perceives)
+        self._frame, self._cut_steps = frame, steps
+
+    def turns(self) -> Iterator[Turn]:
+        """The turns up to the frame, and one that is never taken: a replay stops before its end."""
+        for turn in super().turns():
+            if turn.frame == self._frame and turn.slot is not None:
+                yield turn._replace(slot=self._cut(turn.slot))
+                yield turn
+                return
+            yield turn
+
+    def _cut(self, slot: Slot) -> Slot:
+        step_ns = self.timing.step_ns
+        last_ns = slot.end_ns - (slot.steps - self._cut_steps + 1) * step_ns
+        return slot._replace(
+            steps=self._cut_steps,
+            end_ns=last_ns + step_ns,
+            meanwhile=tuple(event for event in slot.meanwhile if event.at_ns <= last_ns),
+        )

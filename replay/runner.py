@@ -33,18 +33,16 @@ from proground_log.mapping.online_mapper import OnlineMapper
 from proground_log.mapping.semantic_map import SemanticMap
 from proground_log.perception.description import PerceptionDescription
 from proground_log.perception.perceiver import Perceiver
-from proground_log.perception.preview import prompt_colors
+from proground_log.run.folder import Checkpoint, RunFolder
+from proground_log.run.ledger import LedgerSink
+from proground_log.run.manifest import Manifest
+from proground_log.telemetry.pictures import Pictures
 from proground_log.telemetry.rerun_sink import TelemetrySink
 from proground_log.telemetry.segments import merge_segments
 from replay.digests import frame_digest, state_digests
-from replay.ledger import LedgerSink
-from replay.manifest import Manifest
-from replay.pictures import Pictures
 from replay.plan import Plan, Turn
-from replay.run_folder import Checkpoint, RunFolder
 from replay.scheduler import Drop, RegionsReady, Slot
-from replay.summary import summary_of
-from replay.tally import Tally
+from replay.tally import Tally, summary_of
 
 STAGES = ("decode", "perceive", "insert", "step", "views", "telemetry", "ledger")
 """What the machine's time is spent on; the first four are simulated too."""
@@ -178,7 +176,7 @@ class Runner:
         learner = self._mapper.semantics
         if learner is not None:
             task = learner.description.task
-            self._emit(TaskKnown(task.name, task.all_prompts, prompt_colors(task)))
+            self._emit(TaskKnown(task.name, task.all_prompts, task.prompt_colors()))
 
     def _recall(self, taken: Sequence[Turn]) -> None:
         """Read again the frames whose regions are still being found beside the mapper."""

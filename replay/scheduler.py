@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
-Overrun = Literal["drop-oldest", "drop-newest", "wait"]
+from proground_log.run.settings import Overrun
 
 
 @dataclass(frozen=True)

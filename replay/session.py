@@ -12,17 +12,17 @@ from pathlib import Path
 
 from proground_log.errors import ProgroundError
 from proground_log.events import Sink
-from proground_log.files import disk_errors, require_file, require_free
+from proground_log.files import disk_errors, file_sha256, require_file, require_free
 from proground_log.log.reader import LogReader
-from proground_log.perception.description import PerceptionDescription
+from proground_log.perception.description import PerceptionDescription, fingerprint
 from proground_log.perception.of_log import perception_of
 from proground_log.perception.perceiver import Perceiver
-from replay.config import ReplayConfig
-from replay.cost_model import CostModel
+from proground_log.run.cost_model import CostModel
+from proground_log.run.folder import Checkpoint, RunFolder
+from proground_log.run.manifest import Manifest
+from proground_log.run.settings import ReplayConfig
 from replay.device import choose_device
-from replay.manifest import Manifest, file_sha256, fingerprint
 from replay.plan import Plan
-from replay.run_folder import Checkpoint, RunFolder
 from replay.runner import Pause, ReplayStoppedError, Runner
 
 __all__ = ["ReplayStoppedError", "cost_model_of", "replay"]

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pglog.commands import main
 from proground_log.camera import transform
-from proground_log.cli import main
 from proground_log.frame import Selection, SensorFrame
 from recorders.record import record
 from recorders.room import RoomSource

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from proground_log.frame import Selection, SensorFrame
-from proground_log.log.check import check_log
+from proground_log.log.checking.check import check_log
 from proground_log.log.reader import LogReader
 from recorders.record import record
 from recorders.source import Source

@@ -17,9 +17,9 @@ from PIL import Image
 
 import proground_log as pg
 from proground_log.mapping.map_file import load_map
-from proground_log.query.surface import extract_mesh
-from replay.ledger import bits_float, read_ledger
-from replay.run_folder import RunFolder
+from proground_log.query.mesh import extract_mesh
+from proground_log.run.folder import RunFolder
+from proground_log.run.ledger import bits_float, read_ledger
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 FRAMES, BUDGET_MS = 8, 420

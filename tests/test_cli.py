@@ -23,12 +23,12 @@ from proground_log.camera import Calibration, Camera
 from proground_log.frame import Selection, SensorFrame
 from proground_log.log.reader import LogReader
 from proground_log.regions import Regions
+from proground_log.run.cost_model import DEFAULT_MODEL, CostModel
+from proground_log.run.manifest import Manifest
+from proground_log.run.settings import ReplayConfig
 from recorders.formats.seven_scenes import SevenScenesSource
 from recorders.record import record
 from recorders.room import RoomSource
-from replay.config import ReplayConfig
-from replay.cost_model import DEFAULT_MODEL, CostModel
-from replay.manifest import Manifest
 from tests.commands import Answer, Pglog
 from tests.full_disk import largest_file
 from tests.perception.tiny_encoders import write_text_encoder
@@ -111,7 +111,7 @@ def test_help_of_a_command_in_a_command(pglog: Pglog) -> None:
 
 
 def test_help_waits_for_nothing_heavy() -> None:
-    program = "import sys, proground_log.cli; print([m for m in sys.argv[1:] if m in sys.modules])"
+    program = "import sys, pglog.commands; print([m for m in sys.argv[1:] if m in sys.modules])"
     heavy = ["torch", "onnxruntime", "rerun", "numba", "mcap", "kornia", "skimage"]
     result = subprocess.run(
         [sys.executable, "-c", program, *heavy], capture_output=True, text=True, check=True
@@ -419,7 +419,7 @@ def test_a_perception_that_exists(pglog: Pglog, small_log: Path, tmp_path: Path)
 def test_ctrl_c_keeps_what_was_perceived(
     pglog: Pglog, room_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from proground_log.perception.simulated import SimulatedPerception
+    from proground_log.perception.simulated.perceiver import SimulatedPerception
 
     def interrupted(perceiver: SimulatedPerception, frame: SensorFrame) -> Regions:
         if frame.index == 7:
@@ -720,7 +720,7 @@ def test_ctrl_c_leaves_what_can_be_recovered(
 def test_a_real_ctrl_c(shared_data: Path, tmp_path: Path) -> None:
     source = shared_data / "7scenes_redkitchen" / "seq-01"
     log = tmp_path / "a.mcap"
-    command = [sys.executable, "-m", "proground_log.cli", "record", "seven-scenes", str(source)]
+    command = [sys.executable, "-m", "pglog", "record", "seven-scenes", str(source)]
     with subprocess.Popen([*command, "-o", str(log)], stderr=subprocess.PIPE) as process:
         partial = log.with_name(log.name + ".partial")
         deadline = time.monotonic() + 60
@@ -736,7 +736,7 @@ def test_a_real_ctrl_c(shared_data: Path, tmp_path: Path) -> None:
 
 
 def test_a_reader_that_has_seen_enough(small_log: Path) -> None:
-    command = [sys.executable, "-m", "proground_log.cli", "info", str(small_log), "--json"]
+    command = [sys.executable, "-m", "pglog", "info", str(small_log), "--json"]
     read, write = os.pipe()
     os.close(read)  # As `head` does when it has its lines.
     try:

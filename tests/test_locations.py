@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 import pytest
 
+from pglog.commands import app
 from proground_log.camera import Calibration
-from proground_log.cli import app
 from proground_log.errors import ProgroundError
 from proground_log.frame import Selection, SensorFrame
 from proground_log.locations import INSTALL, located

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from proground_log.perception.preview import prompt_colors
 from proground_log.perception.task import Task
 from proground_log.query.objects import SceneObject, object_of_vertices
 
@@ -63,7 +62,7 @@ def label_surface(vertices: int, objects: Sequence[SceneObject], task: Task) -> 
         instances=(1 + numbers).astype(np.uint16),
         scores=score[numbers],
         names=(BACKGROUND_NAME, *task.prompts),
-        palette=np.concatenate([np.zeros((1, 3), np.uint8), prompt_colors(task)])[
+        palette=np.concatenate([np.zeros((1, 3), np.uint8), task.prompt_colors()])[
             : 1 + len(task.prompts)
         ],
     )

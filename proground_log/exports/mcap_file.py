@@ -22,8 +22,8 @@ from proground_log.exports.ros_messages import (
 from proground_log.files import written_whole
 from proground_log.log.topics import LABEL_NAMES_ATTACHMENT, WORLD_FRAME
 from proground_log.log.writer import start_mcap
+from proground_log.query.mesh import Mesh
 from proground_log.query.objects import SceneObject
-from proground_log.query.surface import Mesh
 
 SURFACE, OUTLINES, OBJECTS = "/map/surface", "/map/object_outlines", "/map/objects"
 _TYPES = {SURFACE: POINT_CLOUD_TYPE, OUTLINES: POINT_CLOUD_TYPE, OBJECTS: MARKERS_TYPE}

@@ -16,7 +16,7 @@ from proground_log.errors import ProgroundError
 from proground_log.files import written_whole
 from proground_log.mapping.map_file import NeuralMap
 from proground_log.query.grounding import BACKGROUND, background_probability
-from proground_log.query.surface import Mesh
+from proground_log.query.mesh import Mesh
 from proground_log.regions import LEVELS
 
 FILES = ("embeddings.npy", "index.npy", "point_cloud.pcd")

@@ -9,7 +9,7 @@ import trimesh
 
 from proground_log.exports.labels import SurfaceLabels
 from proground_log.files import written_whole
-from proground_log.query.surface import Mesh
+from proground_log.query.mesh import Mesh
 
 _FORMAT_LINE = b"format binary_little_endian 1.0\n"
 

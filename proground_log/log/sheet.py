@@ -18,9 +18,9 @@ from proground_log.camera import Calibration, transform
 from proground_log.files import require_free, written_whole
 from proground_log.frame import SensorFrame
 from proground_log.log.info import LogInfo, log_info
-from proground_log.log.palette import label_colors
 from proground_log.log.reader import LogReader
 from proground_log.log.upright import nearest_axis, up_direction
+from proground_log.palette import label_colors
 
 MOST_FRAMES, MOST_POSES = 12, 300
 MOST_CLASSES = 14

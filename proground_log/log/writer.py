@@ -18,9 +18,9 @@ from proground_log.errors import ProgroundError
 from proground_log.files import written_whole
 from proground_log.frame import SensorFrame
 from proground_log.log import messages, topics
-from proground_log.log.palette import label_colors
 from proground_log.log.recording import Origin, Recording
 from proground_log.log.schemas import SENSOR_TYPES
+from proground_log.palette import label_colors
 
 CHUNK_BYTES = 2 * 1024 * 1024
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import dataclass
 
@@ -65,3 +66,8 @@ class PerceptionDescription:
                 where=where,
                 todo="run `pglog perceive` again",
             ) from error
+
+
+def fingerprint(perception: PerceptionDescription | None) -> str | None:
+    """sha256 of all that perception says of itself, hexadecimal."""
+    return None if perception is None else hashlib.sha256(perception.to_bytes()).hexdigest()

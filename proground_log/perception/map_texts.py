@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +11,20 @@ import numpy as np
 from proground_log.errors import ProgroundError
 from proground_log.perception.builtin_texts import BuiltinTexts
 from proground_log.perception.description import PerceptionDescription
-from proground_log.perception.text_encoder import OnnxTextEncoder
+from proground_log.perception.onnx.text_encoder import OnnxTextEncoder
 from proground_log.perception.texts import NameIndex, TextSpace
 from proground_log.perception.vocabulary import Vocabulary
 
 SAME_SPACE_COSINE = 0.8
 """Two templates around one name ("a chair", "a photo of a chair") come closer than this."""
+
+
+@dataclass(frozen=True)
+class Texts:
+    """Where texts that the map does not know by itself come from; see `texts_for`."""
+
+    vocabulary: Path | None = None
+    text_encoder: Path | None = None
 
 
 class TaskTexts:

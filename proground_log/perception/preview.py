@@ -5,7 +5,6 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from proground_log.log.palette import label_colors
 from proground_log.perception.task import Task
 from proground_log.regions import Regions
 
@@ -13,15 +12,6 @@ _FAINTEST, _STRONGEST = 0.15, 0.6
 """How much of a pixel is tint where its region has relevance 0 and 1."""
 _TEXT_HEIGHT_PX = 14
 _JPEG = [cv2.IMWRITE_JPEG_QUALITY, 85]
-
-
-def prompt_colors(task: Task) -> np.ndarray:
-    """RGB colours of all prompts of a task, uint8 [K, 3]: those that it gives, else a palette's."""
-    colors = label_colors(len(task.all_prompts) + 1)[1:]
-    for number, prompt in enumerate(task.all_prompts):
-        if prompt in task.colors:
-            colors[number] = list(bytes.fromhex(task.colors[prompt][1:]))
-    return colors
 
 
 def draw_preview(color: np.ndarray, regions: Regions, task: Task) -> bytes:
@@ -35,7 +25,7 @@ def draw_preview(color: np.ndarray, regions: Regions, task: Task) -> bytes:
         regions: what was found in it.
         task: what was looked for.
     """
-    tints = np.concatenate([np.zeros((1, 3)), prompt_colors(task)[regions.labels]])
+    tints = np.concatenate([np.zeros((1, 3)), task.prompt_colors()[regions.labels]])
     strength = _FAINTEST + (_STRONGEST - _FAINTEST) * regions.confidence
     share = np.concatenate([np.zeros(1), strength])[regions.owner][..., None]
     picture = np.rint(color * (1 - share) + tints[regions.owner] * share).astype(np.uint8)

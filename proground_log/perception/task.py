@@ -10,8 +10,11 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from proground_log.errors import ProgroundError
 from proground_log.files import require_file
+from proground_log.palette import label_colors
 
 _COLOR = re.compile(r"#[0-9a-fA-F]{6}")
 _REMEDY = "see docs/tasks.md"
@@ -58,6 +61,14 @@ class Task:
         """Fingerprint of all that decides what is found and learnt, hexadecimal."""
         content = {name: value for name, value in self.to_json().items() if name != "colors"}
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+    def prompt_colors(self) -> np.ndarray:
+        """RGB colours of all prompts, uint8 [K, 3]: those given, else those of labels."""
+        colors = label_colors(len(self.all_prompts) + 1)[1:]
+        for number, prompt in enumerate(self.all_prompts):
+            if prompt in self.colors:
+                colors[number] = list(bytes.fromhex(self.colors[prompt][1:]))
+        return colors
 
     def to_json(self) -> dict[str, Any]:
         """As JSON values."""

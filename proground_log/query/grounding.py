@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 from scipy.special import expit, softmax
+from threadpoolctl import ThreadpoolController
 
 from proground_log.mapping.map_file import NeuralMap
 from proground_log.mapping.semantic_map import SemanticMap
@@ -26,6 +27,9 @@ its kind (stool for a chair, wine glass for a cup, sofa for a bed) from 2.1 on.
 """
 _BLOCK = 1024
 """Vertices at once: what is computed of them stays in the processor's cache."""
+_BLAS = ThreadpoolController().select(user_api="blas")
+"""The library behind numpy's products. With some of its kernels the last bits depend on the number
+of threads, so that products whose bits count are computed on one."""
 
 
 @torch.no_grad()
@@ -63,8 +67,8 @@ def ask_map(
             # Side by side the codes times the weight of each level: the product with the texts
             # adds up the levels as well.
             weighed = (weights[block] * codes[block]).reshape(-1, len(taken_back))
-            # Not torch's product: its last columns depend on the number of threads.
-            np.matmul(weighed, taken_back, out=logits[start : start + len(weighed)])
+            with _BLAS.limit(limits=1):
+                np.matmul(weighed, taken_back, out=logits[start : start + len(weighed)])
             start += len(weighed)
     return logits, np.concatenate(background)
 
@@ -109,12 +113,13 @@ def vertex_logits(
     scale = (factor * heads.scale).astype(np.float32)
     offset = (factor * heads.shift @ texts.T + heads.bias[:, None]).astype(np.float32)
     logits = np.empty((len(embeddings), len(texts)), np.float32)
-    for start in range(0, len(embeddings), _BLOCK):
-        block = slice(start, start + _BLOCK)
-        aligned = weights[block] @ scale
-        aligned *= embeddings[block]
-        np.matmul(aligned, texts.T, out=logits[block])
-        logits[block] += weights[block] @ offset
+    with _BLAS.limit(limits=1):
+        for start in range(0, len(embeddings), _BLOCK):
+            block = slice(start, start + _BLOCK)
+            aligned = weights[block] @ scale
+            aligned *= embeddings[block]
+            np.matmul(aligned, texts.T, out=logits[block])
+            logits[block] += weights[block] @ offset
     return logits
 
 

@@ -10,9 +10,9 @@ from scipy.special import expit, logit
 
 from proground_log.query.boxes import box_around, shared_volume_m3
 from proground_log.query.instances import GAP_VOXELS, find_instances
+from proground_log.query.mesh import Mesh
 from proground_log.query.objects import LEAST_RELEVANCE, SceneObject
 from proground_log.query.settling import settle_labels
-from proground_log.query.surface import Mesh
 
 LEAST_SPOT_M2 = 0.01
 """Of an object: some of what one sees of a cup. Smaller spots are specks of noise: with what is

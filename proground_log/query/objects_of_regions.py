@@ -16,9 +16,9 @@ from scipy.spatial import cKDTree
 from proground_log.query.association import associate
 from proground_log.query.boxes import box_around
 from proground_log.query.instances import GAP_VOXELS, instance_of
+from proground_log.query.mesh import Mesh
 from proground_log.query.objects import LEAST_RELEVANCE, SceneObject
 from proground_log.query.sightings import LEAST_AREA_M2, Sightings
-from proground_log.query.surface import Mesh
 
 LEAST_SHARE = 0.15
 """A vertex is of the thing whose regions cover it most often, if that is in so many of the frames

@@ -1,106 +1,192 @@
-"""The surface of a map as a coloured mesh, where the sensor saw it."""
+"""The surface of a finished run's map, ready to be asked."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from io import BytesIO
+from functools import cached_property
+from pathlib import Path
 
 import numpy as np
-import torch
-import trimesh
-from skimage.measure import marching_cubes
+from scipy.special import expit
 
-from proground_log.field.neural_field import NeuralField
+from proground_log.errors import ProgroundError
+from proground_log.log.reader import LogReader
+from proground_log.log.registration import Registration
+from proground_log.log.upright import levelled, nearest_axis, up_direction
 from proground_log.mapping.map_file import NeuralMap
+from proground_log.perception.description import PerceptionDescription
+from proground_log.query.grounding import ask_map
+from proground_log.query.mesh import Mesh, extract_mesh
+from proground_log.query.objects import SceneObject
+from proground_log.query.objects_of_labels import objects_of_labels
+from proground_log.query.objects_of_regions import objects_of_regions
+from proground_log.query.sightings import Sightings, find_sightings
+from proground_log.run.folder import RunFolder
+from proground_log.run.ledger import read_ledger
+from proground_log.run.manifest import Manifest, open_log_of
 
-POINTS_AT_ONCE = 1 << 16
+VOXEL_M = 0.03
+"""Voxels of the surface whose objects are listed and judged: a cup has some fifty vertices."""
+MOST_FRAMES = 300
+"""Frames, evenly spaced over those that were mapped, whose regions say what is one thing."""
+MOST_REGIONS = 4000
+"""Regions of these frames: fewer frames are looked at where they have more. Each is compared with
+each, which takes 2 s and 0.7 GB."""
+VIEWS_FOR_UP = 50
+"""Frames, evenly spaced, whose poses say what is up."""
+LEVEL_DEG = 5.0
+"""An axis of the world this near to up is up: the world was meant to stand on it."""
 
 
-@dataclass(frozen=True)
-class Mesh:
-    """Triangles with colours.
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A map's surface, and the log that it was made of where that is still there.
 
     Args:
-        vertices_m: float32 [V, 3], world axes.
-        faces: int32 [F, 3], counter-clockwise seen from free space.
-        normals: float32 [V, 3], unit length, towards free space.
-        colors: uint8 [V, 3] RGB.
-    """
-
-    vertices_m: np.ndarray
-    faces: np.ndarray
-    normals: np.ndarray
-    colors: np.ndarray
-
-
-@torch.no_grad()
-def extract_mesh(content: NeuralMap, voxel_m: float) -> Mesh:
-    """Marching cubes over the signed distances, near measured surface only.
-
-    Args:
+        run: where the map is from.
         content: the map.
-        voxel_m: distance between the points at which the field is asked.
-
-    Returns:
-        The mesh; with no vertices where nothing was seen.
+        mesh: its surface, V vertices, at least one.
+        voxel_m: voxels of the mesh.
+        up: float64 [3], the world's upward direction.
+        log: None where it has gone.
     """
-    field, observed = content.field, content.observed
-    lower_m, size_m = np.array(field.bounds.lower_m), field.bounds.size_m
-    counts = np.maximum(np.ceil(size_m / voxel_m).astype(int) + 1, 2)
-    axes = [lower_m[i] + np.arange(counts[i]) * voxel_m for i in range(3)]
-    near = observed.near_lattice(axes)
-    sdf = np.ones(counts, np.float32)
-    # Some at a time, so that of all points at once only the numbers are kept, not the places; not
-    # slab by slab, since the hash grid is read once for all that are asked together.
-    asked = np.flatnonzero(near)
-    for start in range(0, len(asked), POINTS_AT_ONCE):
-        some = np.unravel_index(asked[start : start + POINTS_AT_ONCE], near.shape)
-        points_m = np.stack([axis_m[i] for axis_m, i in zip(axes, some, strict=True)], axis=-1)
-        sdf[some] = _ask(field, points_m, colors=False)
-    try:
-        vertices, faces, _, _ = marching_cubes(
-            sdf,
-            level=0.0,
-            spacing=(voxel_m,) * 3,
-            mask=_whole_cubes(near),
-            gradient_direction="descent",
+
+    run: RunFolder
+    content: NeuralMap
+    mesh: Mesh
+    voxel_m: float
+    up: np.ndarray
+    log: LogReader | None
+
+    @property
+    def description(self) -> PerceptionDescription:
+        """The task, its texts and the detector's heads, of a map that has meaning."""
+        assert self.content.semantics is not None
+        return self.content.semantics.description
+
+    def ask(self, texts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Logits [V, K] of the vertices for texts [K, 512], and how likely background, [V]."""
+        return ask_map(self.content, self.mesh.vertices_m, texts)
+
+    @cached_property
+    def sightings(self) -> Sightings | None:
+        """The regions that the run learnt from; None where no log has them.
+
+        Frames that the run did not map do not count: what came too late for it, it cannot know.
+        """
+        if self.log is None or self.log.task is None:
+            return None
+        mapped = _mapped_frames(self.run.ledger)
+        chosen = [mapped[i] for i in _evenly(len(mapped), MOST_FRAMES)]
+        register = Registration(self.log.calibration)
+        frames = (register(frame) for frame in self.log.frames(chosen))
+        found = find_sightings(self.mesh.vertices_m, frames, self.voxel_m)
+        return found.thinned(MOST_REGIONS)
+
+    @cached_property
+    def objects(self) -> list[SceneObject]:
+        """Every object that a prompt of the task names.
+
+        Told apart by the regions of the log, or where there are none by the map alone.
+        """
+        description = self.description
+        prompts = description.task.prompts
+        if self.sightings is None:
+            logits, background = self.ask(description.texts)
+            return objects_of_labels(self.mesh, logits, background, prompts, self.up, self.voxel_m)
+        relevance = expit(self.sightings.logits(description.heads, description.texts))
+        return objects_of_regions(
+            self.mesh, self.sightings, relevance, prompts, self.up, self.voxel_m
         )
-    except (RuntimeError, ValueError):
-        # So says skimage that no cube is crossed by a surface, or none at all is asked for.
-        nothing = np.zeros((0, 3), np.float32)
-        return Mesh(nothing, np.zeros((0, 3), np.int32), nothing, np.zeros((0, 3), np.uint8))
-    vertices_m = (vertices + lower_m).astype(np.float32)
-    colors = _ask(field, vertices_m, colors=True)
-    shape = trimesh.Trimesh(vertices_m, faces, process=False)
-    return Mesh(
-        vertices_m=vertices_m,
-        faces=faces.astype(np.int32),
-        # Of the faces: those of marching_cubes also look at points where nothing was asked.
-        normals=np.asarray(shape.vertex_normals, dtype=np.float32),
-        colors=(colors * 255).round().astype(np.uint8),
-    )
+
+    @property
+    def caveat(self) -> str | None:
+        """Why objects are told apart worse than they might be; None where they are not."""
+        if self.sightings is not None:
+            return None
+        if self.log is None:
+            why = "the run's log is not at hand (gone, out of reach or another one)"
+            todo = "say with --log where it is"
+        else:
+            why = "the run's log has no regions"
+            todo = "`pglog perceive` it, and replay what that gives"
+        return f"{why}, so objects are told apart by the map alone, which is worse; {todo}"
 
 
-def _whole_cubes(asked: np.ndarray) -> np.ndarray:
-    """Mark the cubes of which every corner was asked, at their last corner, as skimage wants it."""
-    whole = asked.copy()
-    for axis in range(3):
-        earlier = np.roll(whole, 1, axis=axis)
-        np.moveaxis(earlier, axis, 0)[0] = False
-        whole &= earlier
-    return whole
+def surface_of(
+    run: RunFolder, content: NeuralMap, voxel_m: float, log: LogReader | None
+) -> Surface:
+    """Extract the surface of a map.
+
+    Args:
+        run: where it is from.
+        content: the map.
+        voxel_m: voxels of the mesh.
+        log: its regions tell objects apart, and its camera says what is up; z is, without it.
+
+    Raises:
+        ProgroundError: the voxels have no size, or there is no surface.
+    """
+    if not voxel_m > 0:
+        raise ProgroundError(
+            f"the voxels are {voxel_m} m", where="surface", todo="choose more than 0"
+        )
+    mesh = extract_mesh(content, voxel_m)
+    if not len(mesh.vertices_m):
+        raise ProgroundError(
+            "the map has no surface to ask",
+            where=run.path,
+            todo="map more frames, or frames with depth within the bounds",
+        )
+    return Surface(run, content, mesh, voxel_m, _up(mesh, log), log)
 
 
-def _ask(field: NeuralField, points_m: np.ndarray, *, colors: bool) -> np.ndarray:
-    """SDF [N] in truncations, or colour [N, 3] in [0, 1], at points [N, 3]."""
-    answers = []
-    for part_m in torch.from_numpy(points_m.astype(np.float32)).split(POINTS_AT_ONCE):
-        points, _ = field.normalise(part_m.to(field.table.device))
-        answers.append((field(points)[1] if colors else field.sdf(points)).cpu())
-    return torch.cat(answers).numpy()
+def require_meaning(content: NeuralMap, where: object) -> None:
+    """Raise a ProgroundError unless a map knows what things are."""
+    if content.semantics is None:
+        raise ProgroundError(
+            "the map knows no meaning, since its log had no regions",
+            where=where,
+            todo="run `pglog perceive` on the log, and replay what it gives",
+        )
 
 
-def read_ply_vertices(content: bytes) -> np.ndarray:
-    """The vertices [V, 3] of a PLY mesh."""
-    mesh = trimesh.load_mesh(BytesIO(content), file_type="ply", process=False)
-    return np.asarray(mesh.vertices)
+def log_if_there(run: RunFolder, log_path: Path | None) -> LogReader | None:
+    """The log of a run, checked; None where nobody says where it is and it is not where it was.
+
+    Raises:
+        ProgroundError: the log at `log_path` is not there, or is another.
+    """
+    manifest = Manifest.read(run.manifest)
+    try:
+        return open_log_of(manifest, log_path)
+    except ProgroundError:
+        if log_path is not None:
+            raise
+        return None
+
+
+def _mapped_frames(ledger: Path) -> list[int]:
+    """Numbers of the frames that a run learnt from: neither held out nor dropped."""
+    entries = [entry for entry in read_ledger(ledger) if entry["event"] in ("frame", "done")]
+    held_out = {entry["frame"] for entry in entries if entry.get("held_out")}
+    done = {entry["frame"] for entry in entries if entry["event"] == "done"}
+    return sorted(done - held_out)
+
+
+def _evenly(count: int, most: int) -> list[int]:
+    """At most so many of `count` numbers, evenly spaced."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
+
+
+def _up(mesh: Mesh, log: LogReader | None) -> np.ndarray:
+    if log is None:
+        return np.array([0.0, 0.0, 1.0])
+    chosen: Sequence[int] = _evenly(len(log), VIEWS_FOR_UP)
+    poses = np.stack([frame.world_from_camera for frame in log.frames(chosen)])
+    up = levelled(up_direction(poses), mesh.normals)
+    axis, sign = nearest_axis(up)
+    if sign * up[axis] >= np.cos(np.radians(LEVEL_DEG)):
+        return sign * np.eye(3)[axis]
+    return up

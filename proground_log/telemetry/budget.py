@@ -5,8 +5,8 @@ from __future__ import annotations
 import rerun as rr
 
 from proground_log.events import Event, FrameDropped, FrameScheduled, RegionsArrived
+from proground_log.palette import CURVE_COLORS, NOTHING_COLOR
 from proground_log.telemetry.columns import Moment, ScalarColumns
-from proground_log.telemetry.palette import CURVE_COLORS, NOTHING_COLOR
 
 STAGES = ("decode", "perceive", "insert", "step")
 """The stages that a frame's time is spent on, in their order."""

@@ -11,10 +11,10 @@ import rerun as rr
 
 from proground_log.camera import Calibration, Camera, transform
 from proground_log.frame import SensorFrame
-from proground_log.log.palette import label_colors
 from proground_log.log.reader import LogReader
 from proground_log.log.registration import Registration
 from proground_log.log.upright import levelled, nearest_axis, surface_normals, up_direction
+from proground_log.palette import label_colors
 from proground_log.perception.of_log import perception_of
 from proground_log.perception.preview import draw_preview
 from proground_log.perception.task import Task

@@ -9,8 +9,10 @@ import numpy as np
 import rerun.blueprint as rrb
 
 from proground_log.events import MeshExtracted
+from proground_log.files import file_sha256
 from proground_log.log.upright import nearest_axis
 from proground_log.query.objects import SceneObject, object_of_vertices
+from proground_log.query.surface import Surface
 from proground_log.telemetry.blueprint import BACKGROUND
 from proground_log.telemetry.boxes import boxes3d
 from proground_log.telemetry.rerun_sink import recording_written
@@ -81,4 +83,18 @@ def _blueprint(eye: rrb.EyeControls3D) -> rrb.Blueprint:
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed"),
+    )
+
+
+def draw_objects(path: Path, surface: Surface) -> None:
+    """Write a rerun recording of a surface's objects; `path` is replaced if it is there."""
+    mesh, task = surface.mesh, surface.description.task
+    colors = dict(zip(task.all_prompts, task.prompt_colors(), strict=True))
+    write_objects_recording(
+        path,
+        f"{file_sha256(surface.run.map)[:16]}: objects",
+        MeshExtracted(0, mesh.vertices_m, mesh.faces, mesh.normals, mesh.colors),
+        surface.objects,
+        np.array([colors[thing.label] for thing in surface.objects], np.uint8).reshape(-1, 3),
+        surface.up,
     )

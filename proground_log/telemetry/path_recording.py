@@ -12,8 +12,11 @@ import rerun.blueprint as rrb
 from scipy.spatial.transform import Rotation
 
 from proground_log.events import MeshExtracted
+from proground_log.files import file_sha256
 from proground_log.log.upright import nearest_axis
+from proground_log.navigation.journey import Journey
 from proground_log.query.boxes import OrientedBox
+from proground_log.run.folder import RunFolder
 from proground_log.telemetry.blueprint import BACKGROUND
 from proground_log.telemetry.boxes import boxes3d
 from proground_log.telemetry.rerun_sink import recording_written
@@ -153,4 +156,37 @@ def _blueprint(name: str) -> rrb.Blueprint:
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE),
+    )
+
+
+def draw_journey(path: Path, run_path: Path, journey: Journey) -> None:
+    """Write a rerun recording of a way, in which the robot drives.
+
+    Args:
+        path: the .rrd file, replaced if it is there.
+        run_path: folder of the run.
+        journey: as `navigate_run` gives it.
+    """
+    plan, route, mesh = journey.plan, journey.route, journey.surface.mesh
+    lines = [edge["cells"] for _, _, edge in journey.graph.edges(data=True)]
+    thing = journey.thing
+    x_m, y_m = route.corners_m[0]
+    write_path_recording(
+        path,
+        f"{file_sha256(RunFolder(run_path).map)[:16]}: {x_m:.3f}, {y_m:.3f} to {journey.name}",
+        MeshExtracted(0, mesh.vertices_m, mesh.faces, mesh.normals, mesh.colors),
+        PathDrawing(
+            name=journey.name,
+            up=plan.ground.plan_from_world[2],
+            points_m=plan.ground.world(route.points_m),
+            heading=plan.ground.plan_from_world[:2].T
+            @ (np.cos(route.heading_rad), np.sin(route.heading_rad)),
+            radius_m=journey.robot.radius_m,
+            height_m=journey.robot.height_m,
+            graph_m=[plan.ground.world(plan.centres(cells)) for cells in lines],
+            free_m=plan.ground.world(plan.centres(np.argwhere(plan.clearance_m > 0))),
+            free_clearance_m=plan.clearance_m[plan.clearance_m > 0],
+            cell_m=plan.cell_m,
+            box=None if thing is None else thing.box,
+        ),
     )

@@ -10,8 +10,11 @@ import numpy as np
 import rerun.blueprint as rrb
 
 from proground_log.events import MeshExtracted
+from proground_log.files import file_sha256
 from proground_log.log.upright import nearest_axis
+from proground_log.query.ask import Answer
 from proground_log.query.boxes import OrientedBox
+from proground_log.query.surface import Surface
 from proground_log.telemetry.blueprint import BACKGROUND
 from proground_log.telemetry.boxes import boxes3d
 from proground_log.telemetry.rerun_sink import recording_written
@@ -96,3 +99,26 @@ def _blueprint(queries: Sequence[str], eye: rrb.EyeControls3D) -> rrb.Blueprint:
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed"),
     )
+
+
+def draw_answers(path: Path, surface: Surface, answers: Sequence[Answer]) -> None:
+    """Write a rerun recording with a tab for each answer.
+
+    Args:
+        path: the .rrd file, replaced if it is there.
+        surface, answers: as `query_run` gives them.
+    """
+    mesh = surface.mesh
+    drawings = [
+        QueryDrawing(
+            query=answer.query,
+            heat=np.clip(answer.scores / answer.measure.full, 0, 1),
+            boxes=[thing.box for thing in answer.things],
+            labels=[f"{answer.query} {thing.instance.score:.2f}" for thing in answer.things],
+        )
+        for answer in answers
+    ]
+    extracted = MeshExtracted(0, mesh.vertices_m, mesh.faces, mesh.normals, mesh.colors)
+    queries = ", ".join(answer.query for answer in answers)
+    recording_id = f"{file_sha256(surface.run.map)[:16]}: {queries}"
+    write_query_recording(path, recording_id, extracted, drawings, surface.up)

@@ -25,12 +25,12 @@ from proground_log.events import (
 )
 from proground_log.files import disk_errors, written_whole
 from proground_log.log.upright import nearest_axis, up_direction
+from proground_log.palette import CURVE_COLORS, TOTAL_COLOR
 from proground_log.telemetry import images
 from proground_log.telemetry.blueprint import APPLICATION_ID, SEMANTIC_LOSSES, replay_blueprint
 from proground_log.telemetry.budget import BudgetDrawing
 from proground_log.telemetry.columns import Moment, ScalarColumns
 from proground_log.telemetry.documents import summary_document
-from proground_log.telemetry.palette import CURVE_COLORS, TOTAL_COLOR
 from proground_log.telemetry.semantics import SemanticDrawing
 from proground_log.telemetry.surface import surface
 from proground_log.telemetry.upright import VIEW_COORDINATES

@@ -18,11 +18,11 @@ from proground_log.events import (
     TaskKnown,
     ViewRendered,
 )
+from proground_log.palette import CURVE_COLORS, NOTHING_COLOR
 from proground_log.telemetry import images
 from proground_log.telemetry.blueprint import HEADS, SEMANTIC_BUFFER, SEMANTIC_LOSSES
 from proground_log.telemetry.columns import Moment, ScalarColumns
 from proground_log.telemetry.documents import task_document
-from proground_log.telemetry.palette import CURVE_COLORS, NOTHING_COLOR
 from proground_log.telemetry.surface import heat_colors, surface
 
 LEVEL_NAMES = ("P3", "P4", "P5")

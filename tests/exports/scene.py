@@ -9,8 +9,8 @@ from proground_log.exports.labels import SurfaceLabels, label_surface
 from proground_log.perception.task import Task
 from proground_log.query.boxes import box_around
 from proground_log.query.instances import Instance
+from proground_log.query.mesh import Mesh
 from proground_log.query.objects import SceneObject
-from proground_log.query.surface import Mesh
 
 TASK = Task("tidy", ("cup", "café table"), ("ghost",), colors={"cup": "#102030"})
 UP = np.array([0.0, 0.0, 1.0])

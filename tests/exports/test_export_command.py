@@ -11,18 +11,18 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
+from pglog.export import export_command
 from proground_log.api import open_run
-from proground_log.cli.export import export_command
 from proground_log.errors import ProgroundError
 from proground_log.exports.openlex3d import FILES
 from proground_log.field.config import FieldConfig
 from proground_log.log.reader import LogReader
 from proground_log.mapping.config import MapperConfig, SamplingConfig, SemanticsConfig
 from proground_log.navigation.floor_plan import CELL_M
-from proground_log.perception.simulated import SimulatedPerception
+from proground_log.perception.simulated.perceiver import SimulatedPerception
 from proground_log.perception.task import Task
 from proground_log.query.grounding import BACKGROUND, background_probability
-from replay.config import ReplayConfig, TelemetryConfig
+from proground_log.run.settings import ReplayConfig, TelemetryConfig
 from replay.session import replay
 
 VOXEL_M = 0.08

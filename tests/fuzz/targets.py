@@ -9,7 +9,7 @@ from pathlib import Path
 from mcap.writer import CompressionType
 
 from proground_log.evaluation.label_lists import read_labelled_mesh
-from proground_log.log.check import check_log
+from proground_log.log.checking.check import check_log
 from proground_log.log.info import log_info
 from proground_log.log.reader import LogReader
 from recorders.formats.colmap.source import ColmapSource

@@ -11,7 +11,7 @@ from mcap.exceptions import McapError
 
 from proground_log.errors import ProgroundError
 from proground_log.log.bounded_stream import LARGEST_CHUNK_BYTES, BoundedStream
-from proground_log.log.check import check_log
+from proground_log.log.checking.check import check_log
 from proground_log.log.reader import LogReader
 from tests.fuzz.mcap_records import with_first_chunk
 from tests.small_source import SmallSource, write_log

@@ -15,7 +15,7 @@ from rewriting import Edit, rewrite
 
 from proground_log.errors import ProgroundError
 from proground_log.log import topics
-from proground_log.log.check import Fault, check_log
+from proground_log.log.checking.check import Fault, check_log
 from proground_log.log.reader import LogReader
 from tests.small_source import SmallSource, with_frame, write_log
 

@@ -12,7 +12,12 @@ from scipy.spatial.transform import Rotation
 
 from proground_log.camera import Calibration, Camera
 from proground_log.frame import SensorFrame
-from proground_log.log.consistency import GAPS, PAIRS_PER_GAP, Consistency, ConsistencyReport
+from proground_log.log.checking.consistency import (
+    GAPS,
+    PAIRS_PER_GAP,
+    Consistency,
+    ConsistencyReport,
+)
 from recorders.formats.replica import ReplicaSource
 from recorders.formats.seven_scenes import SevenScenesSource
 from recorders.formats.tum import TumSource

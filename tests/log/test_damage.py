@@ -16,7 +16,7 @@ from rewriting import rewrite
 
 from proground_log.errors import ProgroundError
 from proground_log.log import topics
-from proground_log.log.check import check_log
+from proground_log.log.checking.check import check_log
 from proground_log.log.reader import LogReader
 from proground_log.log.writer import register_schema, start_mcap
 from tests.small_source import SmallSource, write_log

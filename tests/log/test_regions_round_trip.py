@@ -21,7 +21,7 @@ from proground_log.camera import Calibration, Camera
 from proground_log.errors import ProgroundError
 from proground_log.frame import AT_EDGE
 from proground_log.log import topics
-from proground_log.log.check import Fault, check_log
+from proground_log.log.checking.check import Fault, check_log
 from proground_log.log.info import log_info
 from proground_log.log.reader import LogReader
 from proground_log.log.region_message import decode_regions, encode_regions

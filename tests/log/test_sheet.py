@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from pglog.commands import main
 from proground_log.camera import Calibration, Camera
-from proground_log.cli import main
 from proground_log.errors import ProgroundError
 from proground_log.frame import Selection
-from proground_log.log.palette import label_colors
 from proground_log.log.reader import LogReader
 from proground_log.log.sheet import MAP_AXES, draw_sheet, map_axes
+from proground_log.palette import label_colors
 from recorders.record import record
 from tests.small_source import SmallSource, write_log
 

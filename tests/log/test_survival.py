@@ -15,7 +15,7 @@ import pytest
 from proground_log.errors import ProgroundError
 from proground_log.frame import Selection, SensorFrame
 from proground_log.log import topics
-from proground_log.log.check import check_log
+from proground_log.log.checking.check import check_log
 from proground_log.log.reader import LogReader
 from recorders.record import record
 from recorders.recover import recover

@@ -17,7 +17,7 @@ from proground_log.mapping.config import BufferConfig, MapperConfig, SamplingCon
 from proground_log.mapping.map_file import load_map
 from proground_log.mapping.online_mapper import OnlineMapper
 from proground_log.perception.of_log import perception_of
-from replay.config import ReplayConfig, SimulationConfig, TelemetryConfig
+from proground_log.run.settings import ReplayConfig, SimulationConfig, TelemetryConfig
 from replay.session import replay
 from tests.mapping.test_online_mapper import BOUNDS, wall_frame
 from tests.regions import write_perceived_log

@@ -15,7 +15,7 @@ from proground_log.frame import Frame
 from proground_log.mapping.config import BufferConfig, MapperConfig, SamplingConfig
 from proground_log.mapping.map_file import NeuralMap, load_map, save_map
 from proground_log.mapping.online_mapper import OnlineMapper
-from proground_log.query.surface import extract_mesh
+from proground_log.query.mesh import extract_mesh
 
 CAMERA = Camera(40, 30, 30.0, 30.0, 20.0, 15.0)
 BOUNDS = Bounds((-2.0, -1.5, 0.0), (2.0, 1.5, 2.5))

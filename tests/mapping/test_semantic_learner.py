@@ -25,9 +25,9 @@ from proground_log.perception.description import PerceptionDescription
 from proground_log.perception.heads import TextHeads
 from proground_log.perception.task import Task, Thresholds
 from proground_log.regions import Regions
+from proground_log.run.settings import TelemetryConfig
 from proground_log.streams import stream
-from replay.config import TelemetryConfig
-from replay.pictures import Pictures
+from proground_log.telemetry.pictures import Pictures
 from tests.mapping.test_online_mapper import BOUNDS, CAMERA, WALL_M, wall_frame
 
 CONFIG = MapperConfig(

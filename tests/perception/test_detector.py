@@ -14,8 +14,8 @@ from scipy.special import expit, logit
 from tiny_yolo import ANCHORS, LEVELS, SIDE, WIDTH, TinyDetector
 
 from proground_log.errors import ProgroundError
-from proground_log.perception.detector import Detections, Detector
-from proground_log.perception.yolo import MOST_BOXES, distinct_boxes
+from proground_log.perception.onnx.detector import Detections, Detector
+from proground_log.perception.onnx.yolo import MOST_BOXES, distinct_boxes
 
 IMAGE = np.zeros((SIDE, SIDE, 3), np.uint8)
 TEXTS = np.eye(3, WIDTH, dtype=np.float32)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tiny_encoders import write_image_encoder
 
 from proground_log.errors import ProgroundError
-from proground_log.perception.image_encoder import OnnxImageEncoder, pixel_values
+from proground_log.perception.onnx.image_encoder import OnnxImageEncoder, pixel_values
 
 
 def smooth_image(height: int, width: int) -> np.ndarray:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proground_log.perception.letterbox import Letterbox
+from proground_log.perception.onnx.letterbox import Letterbox
 
 SIDES = st.integers(1, 700)
 

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter
 
-from proground_log.perception.letterbox import Letterbox
-from proground_log.perception.masks import (
+from proground_log.perception.onnx.letterbox import Letterbox
+from proground_log.perception.onnx.masks import (
     LEAST_FIT,
     Segments,
     assign_owners,

@@ -15,8 +15,8 @@ from tiny_yolo import ANCHORS, SIDE, WIDTH, TinyDetector, write_segmenter
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
 from proground_log.perception.description import PerceptionDescription
-from proground_log.perception.onnx_perception import OnnxPerception
-from proground_log.perception.segmenter import Segmenter
+from proground_log.perception.onnx.perceiver import OnnxPerception
+from proground_log.perception.onnx.segmenter import Segmenter
 from proground_log.perception.task import Task
 from proground_log.perception.vocabulary import Vocabulary
 from proground_log.regions import Regions

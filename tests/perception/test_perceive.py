@@ -23,13 +23,13 @@ from mcap.reader import NonSeekingReader, make_reader
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
 from proground_log.log import topics
-from proground_log.log.check import check_log
+from proground_log.log.checking.check import check_log
 from proground_log.log.reader import LogReader
 from proground_log.perception.description import ATTACHMENT
 from proground_log.perception.journal import open_journal
 from proground_log.perception.of_log import perception_of, task_of_labels
 from proground_log.perception.perceive import journal_path, perceive
-from proground_log.perception.preview import draw_preview, prompt_colors
+from proground_log.perception.preview import draw_preview
 from proground_log.perception.summary import PerceivedSummary
 from proground_log.regions import Regions
 from tests.full_disk import largest_file
@@ -216,7 +216,7 @@ def test_the_task_of_a_log_names_its_classes(log: Path, tmp_path: Path) -> None:
 
 
 def test_the_preview_is_tinted_in_the_colours_of_the_task() -> None:
-    palette = prompt_colors(TASK)
+    palette = TASK.prompt_colors()
     assert palette[2].tolist() == [255, 128, 0]
     assert len(np.unique(palette, axis=0)) == 3
     color = np.full((60, 220, 3), 100, np.uint8)

@@ -11,8 +11,12 @@ from scipy import ndimage
 from proground_log.camera import Calibration
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
-from proground_log.perception.simulated import LabelCounts, SimulatedPerception, count_labels
-from proground_log.perception.simulated_masks import find_things
+from proground_log.perception.simulated.masks import find_things
+from proground_log.perception.simulated.perceiver import (
+    LabelCounts,
+    SimulatedPerception,
+    count_labels,
+)
 from proground_log.perception.task import Task
 from proground_log.regions import Regions
 from recorders.room import RoomSource

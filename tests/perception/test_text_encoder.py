@@ -14,9 +14,9 @@ from onnx import TensorProto
 from tiny_encoders import write_text_encoder
 
 from proground_log.errors import ProgroundError
-from proground_log.perception.onnx_session import OnnxModel, open_session
-from proground_log.perception.text_encoder import OnnxTextEncoder
-from proground_log.perception.tokenizer import CONTEXT, END, START, _tokenizer, tokens
+from proground_log.perception.onnx.session import OnnxModel, open_session
+from proground_log.perception.onnx.text_encoder import OnnxTextEncoder
+from proground_log.perception.onnx.tokenizer import CONTEXT, END, START, _tokenizer, tokens
 from proground_log.perception.vocabulary import Vocabulary, build_vocabulary
 
 

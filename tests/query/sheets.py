@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.sparse import csr_array
 
+from proground_log.query.mesh import Mesh
 from proground_log.query.sightings import Sightings
-from proground_log.query.surface import Mesh
 from proground_log.regions import EMBEDDING_WIDTH
 
 UP = np.array([0.0, 0.0, 1.0])

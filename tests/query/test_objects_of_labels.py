@@ -7,6 +7,7 @@ import pytest
 
 from proground_log.query.boxes import box_around
 from proground_log.query.instances import Instance
+from proground_log.query.mesh import Mesh
 from proground_log.query.objects import SceneObject, object_of_vertices
 from proground_log.query.objects_of_labels import (
     LEAST_SPOT_M2,
@@ -14,7 +15,6 @@ from proground_log.query.objects_of_labels import (
     without_duplicates,
 )
 from proground_log.query.settling import STIFFNESS_M, settle_labels
-from proground_log.query.surface import Mesh
 from proground_log.streams import stream
 from tests.query.sheets import UP, patch, sheet
 

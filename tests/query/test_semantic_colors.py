@@ -9,8 +9,8 @@ from proground_log.mapping.semantic_map import Semantics
 from proground_log.perception.description import PerceptionDescription
 from proground_log.perception.heads import TextHeads
 from proground_log.perception.task import Task
-from proground_log.query.semantic_colors import CONTRAST, SemanticColors
 from proground_log.streams import stream
+from proground_log.telemetry.semantic_colors import CONTRAST, SemanticColors
 
 
 def perception(count: int, order: list[int] | None = None) -> PerceptionDescription:

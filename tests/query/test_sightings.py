@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from proground_log.camera import Camera, transform
 from proground_log.frame import AT_EDGE, NO_REGION, Frame
 from proground_log.perception.heads import TextHeads
+from proground_log.query.mesh import Mesh
 from proground_log.query.objects_of_regions import objects_of_regions
 from proground_log.query.sightings import (
     LEAST_AREA_M2,
@@ -24,7 +25,6 @@ from proground_log.query.sightings import (
     Sightings,
     find_sightings,
 )
-from proground_log.query.surface import Mesh
 from proground_log.regions import EMBEDDING_WIDTH, LEVELS, Regions
 from proground_log.streams import stream
 from tests.query.sheets import UP, sheet

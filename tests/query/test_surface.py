@@ -12,8 +12,8 @@ from proground_log.field.config import FieldConfig
 from proground_log.field.neural_field import NeuralField
 from proground_log.mapping.map_file import NeuralMap
 from proground_log.mapping.observed import ObservedSurface
-from proground_log.query import surface
-from proground_log.query.surface import extract_mesh
+from proground_log.query import mesh as surface
+from proground_log.query.mesh import extract_mesh
 from proground_log.streams import stream
 
 BOUNDS = Bounds((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))

@@ -6,8 +6,7 @@ import pytest
 
 from proground_log.errors import ProgroundError
 from recorders import registry
-from recorders.detect import Detection, detect
-from recorders.registry import FORMATS, Format, open_source
+from recorders.registry import FORMATS, Detection, Format, detect, open_source
 from tests.recorders.test_replica import write_scene
 
 

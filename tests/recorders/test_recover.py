@@ -14,11 +14,11 @@ import zstandard
 from mcap.reader import make_reader
 from mcap.records import ChunkIndex
 
+from pglog.recover import recover_command
 from proground_log.camera import Calibration
-from proground_log.cli.recover import recover_command
 from proground_log.errors import ProgroundError
 from proground_log.log import topics, writer
-from proground_log.log.check import check_log
+from proground_log.log.checking.check import check_log
 from proground_log.log.reader import LogReader
 from recorders.recover import SUFFIX, Recovery, recover
 from tests.regions import write_perceived_log

@@ -21,14 +21,14 @@ from proground_log.log.reader import LogReader
 from proground_log.mapping.config import BufferConfig, MapperConfig, SamplingConfig
 from proground_log.perception.builtin_texts import BuiltinTexts
 from proground_log.perception.of_log import task_of_labels
-from proground_log.perception.simulated import SimulatedPerception
+from proground_log.perception.simulated.perceiver import SimulatedPerception
+from proground_log.run.folder import RunFolder
+from proground_log.run.ledger import read_ledger
+from proground_log.run.manifest import PACKAGES
+from proground_log.run.settings import ReplayConfig, SimulationConfig, TelemetryConfig
 from recorders.record import record
 from recorders.room import RoomSource
-from replay.config import ReplayConfig, SimulationConfig, TelemetryConfig
-from replay.difference_table import difference_table
-from replay.ledger import read_ledger
-from replay.manifest import PACKAGES
-from replay.run_folder import RunFolder
+from replay.divergence.table import difference_table
 from replay.session import replay
 
 ROOM_FRAMES = 12

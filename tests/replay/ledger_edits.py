@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from replay.ledger import FIRST_SEAL, read_ledger, seal
-from replay.run_folder import RunFolder
+from proground_log.run.folder import RunFolder
+from proground_log.run.ledger import FIRST_SEAL, read_ledger, seal
 
 Entry = dict[str, Any]
 

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from proground_log.cli import main
+from pglog.commands import main
 from proground_log.errors import ProgroundError
-from replay.bisect import Bisection, bisect, newest_equal_checkpoint
-from replay.config import ReplayConfig, SimulationConfig
-from replay.ledger import read_ledger
-from replay.rerun import Excerpt, rerun, state_after
-from replay.run_folder import RunFolder
+from proground_log.run.folder import RunFolder
+from proground_log.run.ledger import read_ledger
+from proground_log.run.settings import ReplayConfig, SimulationConfig
+from replay.divergence.bisect import Bisection, bisect, newest_equal_checkpoint
+from replay.divergence.rerun import Excerpt, rerun, state_after
 from replay.session import replay
 from tests.replay.golden import COST, SMALL
 from tests.replay.ledger_edits import Entry, edited_run

@@ -17,14 +17,14 @@ import pytest
 from proground_log.errors import ProgroundError
 from proground_log.frame import Selection
 from proground_log.log.reader import LogReader
+from proground_log.run.cost_model import CostModel
+from proground_log.run.folder import RunFolder
+from proground_log.run.ledger import read_ledger
+from proground_log.run.manifest import Manifest
+from proground_log.run.settings import ReplayConfig, TelemetryConfig
 from recorders.record import record
 from recorders.room import RoomSource
-from replay.config import ReplayConfig, TelemetryConfig
-from replay.cost_model import CostModel
-from replay.ledger import read_ledger
-from replay.manifest import Manifest
 from replay.plan import Plan
-from replay.run_folder import RunFolder
 from replay.session import ReplayStoppedError, cost_model_of, replay
 from tests.commands import Pglog
 from tests.replay.golden import CASES, COST, SMALL, perceiver_of, under
@@ -246,7 +246,7 @@ def test_a_pause_changes_nothing_and_may_stop(
 def test_pausing_at_the_terminal(room_log: Path, tmp_path: Path) -> None:
     """After frame 0 to the next, after frame 1 on, after frame 5 the input ends: stop."""
     config = ["--steps", "1", "--telemetry.no-enabled", "--mapper.sampling.rays", "64"]
-    command = [sys.executable, "-m", "proground_log.cli", "replay", str(room_log)]
+    command = [sys.executable, "-m", "pglog", "replay", str(room_log)]
     answer = subprocess.run(
         [*command, "-o", str(tmp_path / "run"), *config, "--pause-at", "0", "5"],
         input="n\nwhat\n\n",
@@ -378,7 +378,7 @@ def test_a_cost_model_without_a_stage_is_refused_where_it_is_needed(
 def test_a_manifest_whose_log_has_changed_is_refused(
     room_log: Path, overloaded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from proground_log.cli import main
+    from pglog.commands import main
 
     changed = tmp_path / "changed.mcap"
     changed.write_bytes(room_log.read_bytes() + b"\0")

@@ -11,19 +11,27 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proground_log.cli import main
+from pglog.commands import main
 from proground_log.errors import ProgroundError
 from proground_log.log.reader import LogReader
 from proground_log.perception.builtin_texts import BuiltinTexts
 from proground_log.perception.of_log import task_of_labels
-from proground_log.perception.simulated import SimulatedPerception
+from proground_log.perception.simulated.perceiver import SimulatedPerception
 from proground_log.perception.vocabulary import write_vocabulary
+from proground_log.run.cost_model import UNITS, CostModel
 from proground_log.streams import stream
 from recorders import room
-from replay import calibrate, calibration_work
-from replay.calibrate import Points, cost_model, fit_line, how_measured, measure, stage_cost
-from replay.calibration_work import stage_works
-from replay.cost_model import UNITS, CostModel
+from replay.calibration import measure as calibrate
+from replay.calibration import work as calibration_work
+from replay.calibration.measure import (
+    Points,
+    cost_model,
+    fit_line,
+    how_measured,
+    measure,
+    stage_cost,
+)
+from replay.calibration.work import stage_works
 from tests.small_source import SmallSource
 
 SIZES = (10_000, 20_000, 40_000, 80_000, 160_000)

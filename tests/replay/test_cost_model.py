@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from proground_log.errors import ProgroundError
-from replay.cost_model import (
+from proground_log.run.cost_model import (
     DEFAULT_MODEL,
     MOST_NS,
     UNITS,

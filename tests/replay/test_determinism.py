@@ -16,12 +16,12 @@ import pytest
 from proground_log.errors import ProgroundError
 from proground_log.events import Event, FrameDone
 from proground_log.frame import Selection
+from proground_log.run.folder import RunFolder
+from proground_log.run.ledger import bits_float, read_ledger
+from proground_log.run.settings import ReplayConfig, TelemetryConfig
 from recorders.record import record
 from recorders.room import RoomSource
-from replay.config import ReplayConfig, TelemetryConfig
-from replay.diff import compare_runs
-from replay.ledger import bits_float, read_ledger
-from replay.run_folder import RunFolder
+from replay.divergence.diff import compare_runs
 from replay.session import ReplayStoppedError, replay
 from tests.full_disk import largest_file
 from tests.replay.golden import CASES, COST, SMALL, golden_path, machine, replay_case
@@ -97,7 +97,7 @@ def test_any_number_of_threads_gives_the_same_ledger(
 ) -> None:
     count = str(threads)
     environment = {**os.environ, "NUMBA_NUM_THREADS": count, "OMP_NUM_THREADS": count}
-    command = [sys.executable, "-m", "proground_log.cli", "replay", str(room_log)]
+    command = [sys.executable, "-m", "pglog", "replay", str(room_log)]
     subprocess.run(
         [*command, "-o", str(tmp_path / "run"), "--threads", count, *SMALL_FLAGS],
         env=environment,
@@ -133,7 +133,7 @@ def test_killed_and_resumed_gives_the_same_ledger(
     room_log: Path, reference_run: Path, tmp_path: Path
 ) -> None:
     run = tmp_path / "run"
-    command = [sys.executable, "-m", "proground_log.cli", "replay", str(room_log), "-o", str(run)]
+    command = [sys.executable, "-m", "pglog", "replay", str(room_log), "-o", str(run)]
     process = subprocess.Popen([*command, *SMALL_FLAGS], stderr=subprocess.DEVNULL)
     checkpoint = RunFolder(run).checkpoint
     while not checkpoint.is_file() and process.poll() is None:

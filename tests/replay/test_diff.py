@@ -15,17 +15,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proground_log.cli import main
+from pglog.commands import main
 from proground_log.errors import ProgroundError
 from proground_log.frame import Selection
+from proground_log.run.folder import RunFolder
+from proground_log.run.ledger import bits_float, read_ledger
+from proground_log.run.settings import SimulationConfig
 from recorders.record import record
 from recorders.room import RoomSource
-from replay.config import SimulationConfig
-from replay.diff import compare_all, compare_runs
-from replay.distance import tensor_differences, ulp_distance
-from replay.divergence import first_divergence
-from replay.ledger import bits_float, read_ledger
-from replay.run_folder import RunFolder
+from replay.divergence.diff import compare_all, compare_runs
+from replay.divergence.distance import tensor_differences, ulp_distance
+from replay.divergence.divergence import first_divergence
 from replay.session import replay
 from tests.replay.golden import COST, SMALL
 from tests.replay.ledger_edits import Entry, edited_run, without_frame

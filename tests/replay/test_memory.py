@@ -13,9 +13,9 @@ import numpy as np
 
 from proground_log.camera import Calibration, Camera
 from proground_log.frame import Selection, SensorFrame
+from proground_log.run.folder import RunFolder
 from proground_log.streams import stream
 from recorders.record import record
-from replay.run_folder import RunFolder
 from tests.replay.test_determinism import SMALL_FLAGS
 
 CAMERA = Camera(160, 120, 120.0, 120.0, 80.0, 60.0)
@@ -50,7 +50,7 @@ class Wall:
 
 
 def peak_memory_mb(log: Path, run: Path) -> float:
-    command = [sys.executable, "-m", "proground_log.cli", "replay", str(log), "-o", str(run)]
+    command = [sys.executable, "-m", "pglog", "replay", str(log), "-o", str(run)]
     flags = [*SMALL_FLAGS, "--steps", "1"]
     subprocess.run([*command, *flags], check=True, capture_output=True)
     result = json.loads(RunFolder(run).manifest.read_text())["result"]

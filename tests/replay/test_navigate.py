@@ -13,16 +13,17 @@ import trimesh
 from rerun.chunk import RrdReader
 from scipy.spatial import cKDTree
 
-from proground_log.cli.navigate import navigate_command
+from pglog.navigate import navigate_command
 from proground_log.errors import ProgroundError
+from proground_log.exports.objects import surface_of_run
 from proground_log.log.reader import LogReader
 from proground_log.log.topics import MESH_ATTACHMENT
 from proground_log.navigation.floor_plan import Robot
+from proground_log.navigation.journey import Journey, navigate_run, navigate_surface
 from proground_log.perception.perceive import perceive
-from proground_log.perception.simulated import SimulatedPerception
+from proground_log.perception.simulated.perceiver import SimulatedPerception
+from proground_log.telemetry.path_recording import draw_journey
 from recorders.room import RoomSource
-from replay.navigate import Journey, draw_journey, navigate_run, navigate_surface
-from replay.objects import surface_of_run
 from replay.session import replay
 from tests.replay.test_query import CONFIG, TASK, without_log
 

@@ -11,25 +11,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from proground_log.cli.objects import objects_command
+from pglog.objects import objects_command
 from proground_log.errors import ProgroundError
 from proground_log.evaluation.instance_scores import InstanceCounts, InstanceScores
+from proground_log.evaluation.judge import evaluate_run
+from proground_log.evaluation.objects import ObjectScores, object_table
+from proground_log.exports.objects import object_rows, surface_of_run
 from proground_log.log.reader import LogReader
 from proground_log.log.registration import Registration
 from proground_log.mapping.map_file import load_map
 from proground_log.perception.perceive import perceive
-from proground_log.perception.simulated import SimulatedPerception
+from proground_log.perception.simulated.perceiver import SimulatedPerception
 from proground_log.query.objects import SceneObject
 from proground_log.query.objects_of_labels import objects_of_labels
 from proground_log.query.sightings import find_sightings
+from proground_log.query.surface import surface_of
+from proground_log.run.folder import RunFolder
+from proground_log.run.manifest import Manifest
 from recorders.room import RoomSource
-from replay.evaluate import evaluate_run
-from replay.evaluate_objects import ObjectScores, object_table
-from replay.manifest import Manifest
-from replay.objects import object_rows, surface_of_run
-from replay.run_folder import RunFolder
 from replay.session import replay
-from replay.surface import surface_of
 from tests.replay.test_query import CONFIG, TASK, without_log
 
 VOXEL_M = 0.06

@@ -14,7 +14,7 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 from PIL import Image
 
-from proground_log.cli.query import query_command
+from pglog.query import query_command
 from proground_log.errors import ProgroundError
 from proground_log.field.config import FieldConfig
 from proground_log.log.reader import LogReader
@@ -26,29 +26,24 @@ from proground_log.mapping.config import (
 )
 from proground_log.mapping.map_file import load_map
 from proground_log.perception.builtin_texts import COMMON_SHARE, BuiltinTexts, common_direction
-from proground_log.perception.image_encoder import SIDE, pixel_values
+from proground_log.perception.map_texts import Texts
+from proground_log.perception.onnx.image_encoder import SIDE, pixel_values
 from proground_log.perception.perceive import perceive
-from proground_log.perception.simulated import SimulatedPerception
+from proground_log.perception.simulated.perceiver import SimulatedPerception
 from proground_log.perception.task import Task
+from proground_log.query.ask import NOT_MARGIN, Answer, query_run
 from proground_log.query.grounding import MARGIN, vertex_logits
+from proground_log.query.image_query import ImageQuery, background_crops
 from proground_log.query.objects import SceneObject
 from proground_log.query.sightings import LEAST_AREA_M2
+from proground_log.query.surface import Surface
 from proground_log.regions import EMBEDDING_WIDTH
+from proground_log.run.folder import RunFolder
+from proground_log.run.manifest import Manifest
+from proground_log.run.settings import ReplayConfig, TelemetryConfig
 from proground_log.streams import stream
 from recorders.room import RoomSource
-from replay.config import ReplayConfig, TelemetryConfig
-from replay.evaluate import Texts
-from replay.manifest import Manifest
-from replay.query import (
-    NOT_MARGIN,
-    Answer,
-    ImageQuery,
-    background_crops,
-    query_run,
-)
-from replay.run_folder import RunFolder
 from replay.session import replay
-from replay.surface import Surface
 from tests.telemetry.telemetry_cells import rows_of
 
 VOXEL_M = 0.06
@@ -446,7 +441,9 @@ def test_a_query_for_what_is_irrelevant_to_the_task_says_so(run: Path) -> None:
 def test_what_is_asked_is_understood_before_the_surface_is_extracted(
     run: Path, encoder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("replay.query.surface_of", lambda *_: pytest.fail("began to work"))
+    monkeypatch.setattr(
+        "proground_log.query.ask.surface_of", lambda *_: pytest.fail("began to work")
+    )
     (tmp_path / "no.png").write_bytes(b"no picture")
     with pytest.raises(ProgroundError, match="cannot be read as an image"):
         query_run(run, [], VOXEL_M, 5, image=ImageQuery(tmp_path / "no.png", encoder))

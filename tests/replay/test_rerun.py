@@ -11,16 +11,16 @@ from pathlib import Path
 
 import pytest
 
-from proground_log.cli import main
+from pglog.commands import main
 from proground_log.errors import ProgroundError
+from proground_log.evaluation.judge import evaluate_run
 from proground_log.events import Event, FrameDone
-from replay.config import SimulationConfig
+from proground_log.run.folder import Checkpoint, RunFolder
+from proground_log.run.ledger import read_ledger
+from proground_log.run.manifest import Manifest
+from proground_log.run.settings import SimulationConfig
 from replay.digests import state_digests
-from replay.evaluate import evaluate_run
-from replay.ledger import read_ledger
-from replay.manifest import Manifest
-from replay.rerun import Excerpt, rerun, state_after
-from replay.run_folder import Checkpoint, RunFolder
+from replay.divergence.rerun import Excerpt, rerun, state_after
 from replay.session import replay
 from tests.replay.golden import COST, SMALL, perceiver_of
 from tests.replay.ledger_edits import Entry, edited_run

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from replay.scheduler import Drop, Overrun, Policy, RegionsReady, Slot, Timing, schedule
+from proground_log.run.settings import Overrun
+from replay.scheduler import Drop, Policy, RegionsReady, Slot, Timing, schedule
 
 TIMING = Timing(decode_ns=2, perceive_ns=0, insert_ns=3, step_ns=10)
 REAL_TIME = Policy(budget_ns=30, steps=0, lock_step=False, queue=1, overrun="drop-oldest")

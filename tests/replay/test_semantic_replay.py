@@ -11,15 +11,15 @@ from pathlib import Path
 import pytest
 
 from proground_log.errors import ProgroundError
+from proground_log.evaluation.judge import evaluate_run
 from proground_log.log.reader import LogReader
 from proground_log.mapping.map_file import load_map
 from proground_log.perception.builtin_texts import BuiltinTexts
 from proground_log.perception.perceive import perceive
-from replay.ablate import Variant, run_variants, weighting_and_filtering
-from replay.config import ReplayConfig
-from replay.evaluate import evaluate_run
-from replay.ledger import read_ledger
-from replay.run_folder import RunFolder
+from proground_log.run.folder import RunFolder
+from proground_log.run.ledger import read_ledger
+from proground_log.run.settings import ReplayConfig
+from replay.ablation.variants import Variant, run_variants, weighting_and_filtering
 from replay.session import ReplayStoppedError, replay
 from tests.replay.golden import SMALL, perceiver_of
 from tests.replay.test_determinism import SMALL_FLAGS, StopAfter, ledger_bytes
@@ -55,7 +55,7 @@ def test_any_number_of_threads_gives_the_same_ledger(
 ) -> None:
     count = str(threads)
     environment = {**os.environ, "NUMBA_NUM_THREADS": count, "OMP_NUM_THREADS": count}
-    command = [sys.executable, "-m", "proground_log.cli", "replay", str(seen_log)]
+    command = [sys.executable, "-m", "pglog", "replay", str(seen_log)]
     subprocess.run(
         [*command, "-o", str(tmp_path / "run"), "--threads", count, *SMALL_FLAGS],
         env=environment,

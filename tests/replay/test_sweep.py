@@ -16,14 +16,14 @@ from pathlib import Path
 
 import pytest
 
-from proground_log.cli import main
+from pglog.commands import main
 from proground_log.errors import ProgroundError
 from proground_log.log.reader import LogReader
-from replay.config import ReplayConfig, SimulationConfig, TelemetryConfig
-from replay.manifest import Manifest
-from replay.run_folder import RunFolder
+from proground_log.run.folder import RunFolder
+from proground_log.run.manifest import Manifest
+from proground_log.run.settings import ReplayConfig, SimulationConfig, TelemetryConfig
 from replay.session import replay
-from replay.sweep import (
+from replay.sweep.cells import (
     Job,
     Judging,
     Result,
@@ -33,9 +33,9 @@ from replay.sweep import (
     read_result,
     run_jobs,
 )
-from replay.sweep_grid import Cell, grid, read_axes, read_budgets, read_seeds
-from replay.sweep_local import LocalEngine
-from replay.sweep_report import draw, errors_of, table_rows, write_tables
+from replay.sweep.grid import Cell, grid, read_axes, read_budgets, read_seeds
+from replay.sweep.local import LocalEngine
+from replay.sweep.report import draw, errors_of, table_rows, write_tables
 from tests.replay.golden import SMALL
 from tests.replay.test_determinism import SMALL_FLAGS, ledger_bytes
 from tests.small_source import SmallSource, write_log
@@ -387,7 +387,7 @@ def is_gone(group: int) -> bool:
 def test_ctrl_c_stops_after_a_frame_and_the_same_command_goes_on(
     log: Path, swept: Path, tmp_path: Path
 ) -> None:
-    command = [sys.executable, "-m", "proground_log.cli", *sweep_arguments(log, tmp_path)]
+    command = [sys.executable, "-m", "pglog", *sweep_arguments(log, tmp_path)]
     process = subprocess.Popen(
         command, start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
@@ -449,7 +449,7 @@ def test_the_table_has_means_and_spreads_over_seeds(tmp_path: Path) -> None:
 def cluster(tmp_path_factory: pytest.TempPathFactory, log: Path) -> Iterator[Path]:
     """A sweep's folder, with a cluster of two workers at hand."""
     pytest.importorskip("ray", reason="ray is not installed: pip install proground-log[ray]")
-    from replay.sweep_ray import open_ray
+    from replay.sweep.ray import open_ray
 
     output = tmp_path_factory.mktemp("ray")
     with open_ray(log, output, workers=2) as engine:
@@ -468,7 +468,7 @@ def test_ray_gives_the_same(cluster: Path, swept: Path) -> None:
 def test_ray_sends_log_and_cell_to_nodes_that_do_not_see_them(
     log: Path, swept: Path, tmp_path: Path
 ) -> None:
-    from replay.sweep_ray import RayEngine
+    from replay.sweep.ray import RayEngine
 
     moving = shutil.copyfile(log, tmp_path / "moving.mcap")
     job = jobs_of(moving, tmp_path / "sweep")[0]
@@ -495,7 +495,7 @@ def die_once(reader: LogReader) -> None:
 def test_ray_tries_again_when_a_worker_is_lost_and_stops_when_told(
     log: Path, swept: Path, tmp_path: Path
 ) -> None:
-    from replay.sweep_ray import RayEngine
+    from replay.sweep.ray import RayEngine
 
     first, second = jobs_of(log, tmp_path)
     engine = RayEngine(log, tmp_path / "no token", 1, ships_log=False)
@@ -512,7 +512,7 @@ def test_ray_tries_again_when_a_worker_is_lost_and_stops_when_told(
 @pytest.mark.parametrize("address", ["127.0.0.1:1", "nowhere", "127.0.0.1:99999"])
 def test_an_address_without_a_cluster(log: Path, tmp_path: Path, address: str) -> None:
     pytest.importorskip("ray", reason="ray is not installed: pip install proground-log[ray]")
-    from replay.sweep_ray import open_ray
+    from replay.sweep.ray import open_ray
 
     with (
         pytest.raises(ProgroundError, match="no ray cluster answers"),
@@ -529,7 +529,7 @@ def test_without_ray_it_is_said_what_to_install(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
-    monkeypatch.delitem(sys.modules, "replay.sweep_ray", raising=False)
+    monkeypatch.delitem(sys.modules, "replay.sweep.ray", raising=False)
     arguments = [*sweep_arguments(log, tmp_path / "sweep"), "--engine", "ray"]
     assert pglog(monkeypatch, arguments) == 2
     assert "pip install proground-log[ray]" in capsys.readouterr().err

@@ -12,6 +12,7 @@ import pytest
 import tyro
 
 from proground_log.errors import ProgroundError
+from proground_log.evaluation.judge import Evaluation
 from proground_log.field.config import FieldConfig
 from proground_log.frame import Selection
 from proground_log.log.reader import LogReader
@@ -22,15 +23,14 @@ from proground_log.mapping.config import (
     SemanticsConfig,
 )
 from proground_log.perception.perceive import perceive
-from proground_log.perception.simulated import SimulatedPerception
+from proground_log.perception.simulated.perceiver import SimulatedPerception
 from proground_log.perception.task import Task
+from proground_log.report import run_page, things, views
 from proground_log.report.page import Charts, Note, Page, Table, Views
-from replay import report, report_things, report_views
-from replay.config import ReplayConfig, SimulationConfig, TelemetryConfig
-from replay.evaluate import Evaluation
-from replay.ledger import bits_float, read_ledger
-from replay.report import page_of, replay_flags, write_report
-from replay.report_history import read_history
+from proground_log.report.run_page import page_of, write_report
+from proground_log.run.history import read_history
+from proground_log.run.ledger import bits_float, read_ledger
+from proground_log.run.settings import ReplayConfig, SimulationConfig, TelemetryConfig, flags
 from replay.session import replay
 
 WICKED = "<script>alert(1)</script>"
@@ -55,9 +55,9 @@ def silent(_done: int, _total: int) -> None:
 def small_pictures() -> Iterator[None]:
     """What the pictures show is not what is tested here."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(report_views, "VIEW_WIDTH", 24)
-        patch.setattr(report_views, "FRAMES_SHOWN", 2)
-        patch.setattr(report_things, "VOXEL_M", 0.12)
+        patch.setattr(views, "VIEW_WIDTH", 24)
+        patch.setattr(views, "FRAMES_SHOWN", 2)
+        patch.setattr(things, "VOXEL_M", 0.12)
         yield
 
 
@@ -88,13 +88,13 @@ def quick_verdict(monkeypatch: pytest.MonkeyPatch) -> None:
     """Judging has tests of its own and takes most of the time."""
     scores = {"psnr_db": 21.27, "ssim": 0.8764, "judged_points": 7.0}
     verdict = Evaluation(scores, {"bed": (1200, 62.5)})
-    monkeypatch.setattr(report, "evaluate_run", lambda *_: verdict)
+    monkeypatch.setattr(run_page, "evaluate_run", lambda *_: verdict)
 
 
 @pytest.fixture(scope="module")
 def page(rich_run: Path) -> Page:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(report, "evaluate_run", lambda *_: Evaluation({}, {}))
+        patch.setattr(run_page, "evaluate_run", lambda *_: Evaluation({}, {}))
         return page_of(rich_run, None, silent)
 
 
@@ -146,7 +146,7 @@ def test_what_cannot_be_judged_says_why(plain_run: Path, monkeypatch: pytest.Mon
     def refuse(*_: object) -> Evaluation:
         raise ProgroundError("there is nothing to judge it by", where="run", todo="hold out some")
 
-    monkeypatch.setattr(report, "evaluate_run", refuse)
+    monkeypatch.setattr(run_page, "evaluate_run", refuse)
     page = page_of(plain_run, None, silent)
     assert "there is nothing to judge it by; hold out some" in notes(page, "Quality")
     assert "Colour (PSNR)" not in [tile.name for tile in page.tiles]
@@ -194,8 +194,11 @@ def test_a_log_that_moved_is_found_and_another_is_refused(
     ],
 )
 def test_the_command_gives_the_same_settings_again(config: ReplayConfig) -> None:
+    words = [word for flag in flags(config) for word in flag]
     again = tyro.cli(
-        ReplayConfig, args=replay_flags(config), config=(tyro.conf.FlagCreatePairsOff,)
+        ReplayConfig,
+        args=words,
+        config=(tyro.conf.FlagCreatePairsOff,),
     )
     assert again == config
-    assert (replay_flags(config) == []) == (config == ReplayConfig())
+    assert (flags(config) == []) == (config == ReplayConfig())

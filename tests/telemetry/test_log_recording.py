@@ -14,7 +14,7 @@ from rerun.chunk import RrdReader
 
 from proground_log.camera import Calibration
 from proground_log.frame import SensorFrame
-from proground_log.log.palette import label_colors
+from proground_log.palette import label_colors
 from proground_log.telemetry.log_recording import write_log_recording
 from tests.small_source import CAMERA, LABEL_NAMES, SmallSource, write_log
 

@@ -50,7 +50,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @contextmanager
 def served(run: Path) -> Iterator[str]:
     """`pglog view RUN --web`, without a browser of its own; its address."""
-    command = [sys.executable, "-m", "proground_log.cli", "view", str(run), "--web"]
+    command = [sys.executable, "-m", "pglog", "view", str(run), "--web"]
     # Nothing that could open a window is on this path.
     environment = os.environ | {"PATH": "", "BROWSER": "true", "RUST_LOG": "info"}
     process = subprocess.Popen(

@@ -1,0 +1,5 @@
+"""python -m pglog"""
+
+from pglog.commands import main
+
+main()

@@ -1,0 +1,34 @@
+"""The command that needs nothing: demo."""
+
+from __future__ import annotations
+
+from pglog.common import SAME, Output
+from pglog.objects import objects_command
+from pglog.perception import perceive_command
+from pglog.query import query_command
+from pglog.record import FormatOptions, record_command
+from pglog.runs import evaluate_command, replay_command
+from proground_log.run.settings import ReplayConfig
+
+
+def demo_command(*, output: Output, seed: int = 0, overwrite: bool = False) -> int:
+    """Record the built-in room, perceive, map, judge and ask: all of it, in about three minutes.
+
+    Args:
+        output: folder for room.mcap, seen.mcap, run/ and objects.rrd.
+        seed: varies the room and every draw.
+        overwrite: replace an earlier demo.
+    """
+    room, seen, run = output / "room.mcap", output / "seen.mcap", output / "run"
+    objects = output / "objects.rrd"
+    options = FormatOptions(seed=seed)
+    record_command("synthetic", output=room, options=options, overwrite=overwrite)
+    perceive_command(room, output=seen, simulated=True, seed=seed, overwrite=overwrite)
+    config = ReplayConfig(seed=seed, hold_out_every=10)
+    replay_command(seen, output=run, config=config, overwrite=overwrite)
+    evaluate_command(run)
+    objects_command(run, rrd=objects, overwrite=overwrite)
+    query_command(run, ("sofa", "couch", "cup on table"))
+    print(f"\nlook at the run: pglog view {run}\nlook at the log: pglog view {seen}")
+    print(f'ask the map:     pglog query {run} "lamp"')
+    return SAME

@@ -1,5 +1,0 @@
-"""python -m proground_log.cli"""
-
-from proground_log.cli import main
-
-main()
