@@ -10,8 +10,9 @@ import numpy as np
 from benchmarks.rows import Row, median_seconds
 from benchmarks.semantics import mapper_in_the_room
 from benchmarks.step import BOUNDS
-from proground_log.mapping.map_file import NeuralMap, load_map, save_map
-from proground_log.mapping.semantic_map import SemanticMap
+from proground_log.mapping.map_file import load_map, save_map
+from proground_log.mapping.neural.neural_map import NeuralMap
+from proground_log.mapping.neural.semantic_map import SemanticMap
 from proground_log.perception.texts import of_length_1
 from proground_log.query.grounding import ask_map, relevance_to
 from proground_log.query.mesh import extract_mesh

@@ -10,8 +10,8 @@ from benchmarks.rows import SHARED_DATA, Row, median_seconds
 from benchmarks.step import BOUNDS, FRAMES, PUBLISHED, STEPS_BEFORE
 from proground_log.frame import SensorFrame
 from proground_log.log.registration import Registration
-from proground_log.mapping.config import MapperConfig
-from proground_log.mapping.online_mapper import OnlineMapper
+from proground_log.mapping.neural.config import NeuralConfig
+from proground_log.mapping.neural.online_mapper import OnlineMapper
 from proground_log.perception.builtin_texts import BuiltinTexts
 from proground_log.perception.onnx.detector import Detector
 from proground_log.perception.onnx.letterbox import Letterbox
@@ -38,7 +38,7 @@ def mapper_in_the_room(*, with_semantics: bool) -> OnlineMapper:
     perceiver = SimulatedPerception(
         Task("room", prompts), source.label_names, source.calibration.color, 0
     )
-    config = replace(MapperConfig(), sampling=PUBLISHED)
+    config = replace(NeuralConfig(), sampling=PUBLISHED)
     description = perceiver.description if with_semantics else None
     mapper = OnlineMapper(config, BOUNDS, 0, "cpu", description)
     register = Registration(source.calibration)

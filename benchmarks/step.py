@@ -11,8 +11,8 @@ from benchmarks.rows import Row, median_seconds
 from proground_log.bounds import Bounds
 from proground_log.field.encodings import hash_grid_torch
 from proground_log.log.registration import Registration
-from proground_log.mapping.config import MapperConfig, SamplingConfig
-from proground_log.mapping.online_mapper import OnlineMapper
+from proground_log.mapping.neural.config import NeuralConfig, SamplingConfig
+from proground_log.mapping.neural.online_mapper import OnlineMapper
 from recorders.room import RoomSource
 from replay.device import choose_device
 
@@ -26,7 +26,7 @@ def mapper_in_the_room() -> OnlineMapper:
     """A mapper that has seen a few frames of the built-in room, at the published sampling."""
     source = RoomSource(frames=FRAMES)
     register = Registration(source.calibration)
-    mapper = OnlineMapper(replace(MapperConfig(), sampling=PUBLISHED), BOUNDS, 0, "cpu")
+    mapper = OnlineMapper(replace(NeuralConfig(), sampling=PUBLISHED), BOUNDS, 0, "cpu")
     for index in range(FRAMES):
         mapper.insert(register(source.frame(index)))
         for _ in range(STEPS_BEFORE):

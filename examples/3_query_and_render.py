@@ -17,8 +17,8 @@ run = pg.open_run(folder / "run")
 answer = run.query(text)
 print(f"{text}: {len(answer.things)} found, the best {answer.measure.name} is {answer.best:.2f}")
 for thing in answer.things:
-    at, size = thing.instance.position_m.round(2), thing.box.extent_m.round(2)
-    print(f"  {thing.label} at {at} m, {size} m, {thing.instance.score:.2f}")
+    at, size = thing.position_m.round(2), thing.box.extent_m.round(2)
+    print(f"  {thing.label} at {at} m, {size} m, {thing.score:.2f}")
 
 (frame,) = run.log.frames([0])
 camera = run.log.calibration.depth.pinhole().scaled_to_width(160)

@@ -18,7 +18,7 @@ with (folder / "objects.csv").open("w", newline="") as stream:
     table = csv.writer(stream)
     table.writerow(["object", "x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "views"])
     for thing in run.objects():
-        numbers = [*thing.instance.position_m, *thing.box.extent_m]
+        numbers = [*thing.position_m, *thing.box.extent_m]
         table.writerow([thing.label, *(f"{number:.2f}" for number in numbers), thing.views])
 print((folder / "objects.csv").read_text())
 

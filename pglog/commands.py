@@ -32,6 +32,7 @@ from pglog import (
     view,
 )
 from pglog.common import FAILED, SAME, STOPPED
+from pglog.mapper import asked_kind, with_settings_of
 from proground_log.errors import ProgroundError
 from proground_log.version import __version__
 
@@ -59,12 +60,16 @@ COMMANDS: dict[str, Callable[..., int]] = {
 }
 """In the order of the help."""
 
-app = tyro.extras.SubcommandApp()
-for _name, _command in COMMANDS.items():
-    app.command(name=_name)(_command)
-_vocabulary = tyro.extras.SubcommandApp()
-_vocabulary.command(name="build")(perception.vocabulary_build_command)
-app.command(_vocabulary, name="vocabulary", help="Make files of text embeddings.")
+
+def app_of(kind: str) -> tyro.extras.SubcommandApp:
+    """All commands, those with settings with those of a kind of mapper."""
+    app = tyro.extras.SubcommandApp()
+    for name, command in COMMANDS.items():
+        app.command(name=name)(with_settings_of(command, kind))
+    vocabulary = tyro.extras.SubcommandApp()
+    vocabulary.command(name="build")(perception.vocabulary_build_command)
+    app.command(vocabulary, name="vocabulary", help="Make files of text embeddings.")
+    return app
 
 
 def main() -> None:
@@ -73,7 +78,7 @@ def main() -> None:
         print(f"proground-log {__version__}")
         sys.exit(SAME)
     try:
-        code = app.cli(
+        code = app_of(asked_kind(sys.argv[1:])).cli(
             prog="pglog",
             description="Map RGB-D logs online, offline: record, replay, compare, look.",
             config=(tyro.conf.FlagCreatePairsOff,),

@@ -14,16 +14,16 @@ from pglog.common import SAME, MaybeFloat, MaybePath, Output, Run, err, warn
 from proground_log.errors import ProgroundError
 
 if TYPE_CHECKING:
-    from proground_log import api
     from proground_log.exports.labels import SurfaceLabels
-    from proground_log.query.objects import SceneObject
+    from proground_log.mapping.objects import SceneObject
+    from proground_log.query.surface import Surfaces
 
 
 @dataclass(frozen=True)
 class _Request:
     """What to write: of which run, where to, of what voxels."""
 
-    run: api.Run
+    surfaces: Surfaces
     output: Path
     voxel_m: float
     labels: bool
@@ -71,8 +71,9 @@ def export_command(
         log: the run's log, where it has moved: it tells objects apart, and says what is up.
         overwrite: replace the output.
     """
-    from proground_log.api import open_run
     from proground_log.files import require_free
+    from proground_log.query.surface import Surfaces
+    from proground_log.run.opened import OpenedRun
 
     export = _EXPORTS.get(what)
     if export is None:
@@ -88,10 +89,10 @@ def export_command(
         )
     for file in export.files(output):
         require_free(file, overwrite=overwrite)
-    opened = open_run(run, log=log)
+    surfaces = Surfaces(OpenedRun.finished(run, log))
     voxel_m = export.voxel_m if voxel_m is None else voxel_m
     with err.status(f"exporting {what}"):
-        content = export.write(_Request(opened, output, voxel_m, labels, robot_height))
+        content = export.write(_Request(surfaces, output, voxel_m, labels, robot_height))
     print(f"{output}: {content}")
     return SAME
 
@@ -102,11 +103,11 @@ def _mesh(request: _Request) -> str:
 
     labels = _labelled(request)[1] if request.labels else None
     if request.output.suffix.lower() == ".glb":
-        surface = request.run.surface(request.voxel_m)
+        surface = request.surfaces.at(request.voxel_m)
         write_glb(request.output, surface.mesh, surface.up, labels)
         mesh = surface.mesh
     else:
-        mesh = request.run.mesh(request.voxel_m)
+        mesh = request.surfaces.at(request.voxel_m).mesh
         write_mesh_ply(request.output, mesh, labels)
     return f"{len(mesh.vertices_m)} vertices, {len(mesh.faces)} faces"
 
@@ -115,18 +116,17 @@ def _points(request: _Request) -> str:
     from proground_log.exports.ply import write_points_ply
 
     _, labels = _labelled(request)
-    mesh = request.run.mesh(request.voxel_m)
+    mesh = request.surfaces.at(request.voxel_m).mesh
     write_points_ply(request.output, mesh, labels)
     return f"{len(mesh.vertices_m)} points"
 
 
 def _openlex3d(request: _Request) -> str:
     from proground_log.exports.openlex3d import write_openlex3d
-    from proground_log.query.surface import require_meaning
 
-    require_meaning(request.run.map, request.run.path)
-    mesh = request.run.mesh(request.voxel_m)
-    return f"{write_openlex3d(request.output, request.run.map, mesh)} points"
+    request.surfaces.run.require_meaning()
+    mesh = request.surfaces.at(request.voxel_m).mesh
+    return f"{write_openlex3d(request.output, request.surfaces.run.map, mesh)} points"
 
 
 def _openlex3d_files(output: Path) -> list[Path]:
@@ -140,7 +140,7 @@ def _occupancy(request: _Request) -> str:
     from proground_log.navigation.floor_plan import Robot, draw_floor_plan
 
     robot = Robot(height_m=request.robot_height)
-    surface = request.run.surface(request.voxel_m)
+    surface = request.surfaces.at(request.voxel_m)
     plan = draw_floor_plan(surface.mesh.vertices_m, surface.mesh.faces, surface.up, robot)
     write_occupancy(request.output, plan)
     x, y = plan.cells.shape
@@ -156,8 +156,9 @@ def _occupancy_files(output: Path) -> list[Path]:
 def _objects(request: _Request) -> str:
     from proground_log.exports.objects import object_rows, write_objects_json
 
-    objects = request.run.objects(request.voxel_m)
-    surface = request.run.surface(request.voxel_m)
+    request.surfaces.run.require_meaning()
+    surface = request.surfaces.at(request.voxel_m)
+    objects = surface.objects
     if surface.caveat:
         warn(surface.caveat)
     rows, task = object_rows(objects), surface.description.task
@@ -167,10 +168,12 @@ def _objects(request: _Request) -> str:
 
 def _mcap(request: _Request) -> str:
     from proground_log.exports.mcap_file import write_mcap
+    from proground_log.run.ledger import read_ledger
 
     objects, labels = _labelled(request)
-    mesh = request.run.mesh(request.voxel_m)
-    stamp_ns = max(entry["stamp_ns"] for entry in request.run.events("frame"))
+    mesh = request.surfaces.at(request.voxel_m).mesh
+    entries = read_ledger(request.surfaces.run.folder.ledger)
+    stamp_ns = max(entry["stamp_ns"] for entry in entries if entry["event"] == "frame")
     write_mcap(request.output, mesh, labels, objects, stamp_ns=stamp_ns)
     return f"{len(mesh.vertices_m)} points, {len(objects)} objects"
 
@@ -178,10 +181,9 @@ def _mcap(request: _Request) -> str:
 def _labelled(request: _Request) -> tuple[list[SceneObject], SurfaceLabels]:
     """The objects on the surface, and what that makes of its vertices."""
     from proground_log.exports.labels import label_surface
-    from proground_log.query.surface import require_meaning
 
-    require_meaning(request.run.map, request.run.path)
-    surface = request.run.surface(request.voxel_m)
+    request.surfaces.run.require_meaning()
+    surface = request.surfaces.at(request.voxel_m)
     if surface.caveat:
         warn(surface.caveat)
     objects = surface.objects

@@ -12,8 +12,6 @@ from pglog.common import SAME, AsJson, MaybePath, Run, err, print_table, warn
 from proground_log.errors import ProgroundError
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from proground_log.navigation.journey import Journey
 
 
@@ -55,9 +53,11 @@ def navigate_command(
     """
     from proground_log.files import require_free
     from proground_log.navigation.floor_plan import Robot
-    from proground_log.navigation.journey import navigate_run, sight
+    from proground_log.navigation.journey import navigate_surface, sight
     from proground_log.navigation.picture import draw_route
     from proground_log.perception.map_texts import Texts
+    from proground_log.query.surface import Surfaces
+    from proground_log.run.opened import OpenedRun
     from proground_log.telemetry.path_recording import draw_journey
 
     for output in (png, rrd):
@@ -70,19 +70,17 @@ def navigate_command(
         )
     robot = Robot(robot_radius, robot_height)
     with err.status("looking for a way"):
-        journey = navigate_run(
-            run,
-            begin,
-            _place(to) or to,
-            robot,
-            voxel_m,
-            texts=Texts(vocabulary, text_encoder),
-            log_path=log,
-        )
+        opened = OpenedRun.finished(run, log)
+        goal = _place(to) or to
+        if isinstance(goal, str):
+            opened.require_meaning()
+        surface = Surfaces(opened).at(voxel_m)
+        texts = Texts(vocabulary, text_encoder)
+        journey = navigate_surface(surface, begin, goal, robot, texts=texts)
         if png is not None:
             draw_route(png, journey.plan, journey.graph, journey.route, sight(journey))
         if rrd is not None:
-            draw_journey(rrd, run, journey)
+            draw_journey(rrd, journey)
     if journey.thing is not None and journey.surface.caveat:
         warn(journey.surface.caveat)
     if as_json:
@@ -106,6 +104,8 @@ def _place(text: str) -> tuple[float, float] | None:
 
 
 def _as_json(journey: Journey) -> dict[str, object]:
+    from proground_log.exports.objects import rounded
+
     route, ground, thing = journey.route, journey.plan.ground, journey.thing
     found: dict[str, object] | None = None
     if thing is not None:
@@ -113,10 +113,10 @@ def _as_json(journey: Journey) -> dict[str, object]:
             "query": journey.name,
             "rank": journey.rank,
             "label": thing.label,
-            "position_m": _rounded(thing.instance.position_m),
-            "lower_m": _rounded(thing.instance.lower_m),
-            "upper_m": _rounded(thing.instance.upper_m),
-            "score": round(thing.instance.score, 4),
+            "position_m": rounded(thing.position_m),
+            "lower_m": rounded(thing.lower_m),
+            "upper_m": rounded(thing.upper_m),
+            "score": round(thing.score, 4),
         }
     return {
         "length_m": round(route.length_m, 3),
@@ -126,18 +126,13 @@ def _as_json(journey: Journey) -> dict[str, object]:
         "axes": list(ground.axis_names),
         "up": [round(float(value), 6) for value in ground.plan_from_world[2]],
         "floor_m": round(ground.floor_m, 3),
-        "start": _rounded(route.corners_m[0]),
-        "goal": _rounded(route.corners_m[-1]),
+        "start": rounded(route.corners_m[0]),
+        "goal": rounded(route.corners_m[-1]),
         "goal_heading_rad": round(route.heading_rad, 4),
         "object": found,
-        "points_m": [_rounded(point_m) for point_m in ground.world(route.points_m)],
+        "points_m": [rounded(point_m) for point_m in ground.world(route.points_m)],
         "clearance_m": [_floored(value) for value in route.clearance_m],
     }
-
-
-def _rounded(vector_m: np.ndarray) -> list[float]:
-    """To the millimetre; adding 0 makes 0 of -0."""
-    return [round(float(value), 3) + 0.0 for value in vector_m]
 
 
 def _floored(clearance_m: float) -> float:
@@ -154,9 +149,9 @@ def _print(journey: Journey) -> None:
         "goal": "{:.2f}, {:.2f}".format(*route.corners_m[-1]),
     }
     if thing is not None:
-        x_m, y_m, z_m = thing.instance.position_m
+        x_m, y_m, z_m = thing.position_m
         place = f"{x_m:.2f} {y_m:.2f} {z_m:.2f}"
-        rows["thing"] = f"{journey.name} at {place}, score {thing.instance.score:.2f}"
+        rows["thing"] = f"{journey.name} at {place}, score {thing.score:.2f}"
         if journey.rank > 1:
             rows["thing"] += f", number {journey.rank}: better ones cannot be reached"
     print_table(f"the way to {journey.name}", rows)

@@ -30,20 +30,19 @@ def objects_command(
         overwrite: replace these files.
         log: the run's log, where it has moved: it tells objects apart.
     """
-    from proground_log.exports.objects import (
-        object_rows,
-        rounded,
-        surface_of_run,
-        write_objects_csv,
-    )
+    from proground_log.exports.objects import object_rows, rounded, write_objects_csv
     from proground_log.files import require_free
+    from proground_log.query.surface import Surfaces
+    from proground_log.run.opened import OpenedRun
     from proground_log.telemetry.objects_recording import draw_objects
 
     for output in (csv, rrd):
         if output is not None:
             require_free(output, overwrite=overwrite)
     with err.status("asking the map"):
-        surface = surface_of_run(run, voxel_m, log)
+        opened = OpenedRun.finished(run, log)
+        opened.require_meaning()
+        surface = Surfaces(opened).at(voxel_m)
         objects = surface.objects
         if csv is not None:
             write_objects_csv(csv, objects)
@@ -64,9 +63,9 @@ def objects_command(
         table.add_row(
             str(number),
             thing.label,
-            " ".join(f"{value:.2f}" for value in rounded(thing.instance.position_m)),
+            " ".join(f"{value:.2f}" for value in rounded(thing.position_m)),
             "x".join(f"{value:.2f}" for value in thing.box.extent_m),
-            f"{thing.instance.score:.2f}",
+            f"{thing.score:.2f}",
             "" if thing.views is None else str(thing.views),
         )
     if objects:

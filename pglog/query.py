@@ -54,8 +54,10 @@ def query_command(
     """
     from proground_log.files import require_free
     from proground_log.perception.map_texts import Texts
-    from proground_log.query.ask import query_run
+    from proground_log.query.ask import query
     from proground_log.query.image_query import ImageQuery
+    from proground_log.query.surface import Surfaces
+    from proground_log.run.opened import OpenedRun
     from proground_log.telemetry.query_recording import draw_answers
 
     if (image is None) != (image_encoder is None):
@@ -65,14 +67,13 @@ def query_command(
     if rrd is not None:
         require_free(rrd, overwrite=overwrite)
     with err.status("asking the map"):
-        surface, answers = query_run(
-            run,
+        surface, answers = query(
+            Surfaces(OpenedRun.finished(run, log)),
             texts,
             voxel_m,
             top_k,
             image=ImageQuery(image, image_encoder) if image and image_encoder else None,
             texts=Texts(vocabulary, text_encoder),
-            log_path=log,
         )
         if rrd is not None:
             draw_answers(rrd, surface, answers)
@@ -99,13 +100,13 @@ def _as_json(answer: Answer) -> dict[str, object]:
         "things": [
             {
                 "label": thing.label,
-                "position_m": rounded(thing.instance.position_m),
-                "lower_m": rounded(thing.instance.lower_m),
-                "upper_m": rounded(thing.instance.upper_m),
-                "extent_m": rounded(thing.instance.upper_m - thing.instance.lower_m),
+                "position_m": rounded(thing.position_m),
+                "lower_m": rounded(thing.lower_m),
+                "upper_m": rounded(thing.upper_m),
+                "extent_m": rounded(thing.upper_m - thing.lower_m),
                 "box": box_json(thing.box),
-                "score": round(thing.instance.score, 4),
-                "vertices": len(thing.instance),
+                "score": round(thing.score, 4),
+                "vertices": len(thing.vertices),
                 "views": thing.views,
             }
             for thing in answer.things
@@ -122,11 +123,11 @@ def _print(answers: list[Answer]) -> None:
     )
     for answer in answers:
         for rank, thing in enumerate(answer.things, start=1):
-            position = " ".join(f"{value:.2f}" for value in rounded(thing.instance.position_m))
+            position = " ".join(f"{value:.2f}" for value in rounded(thing.position_m))
             extent = "x".join(f"{value:.2f}" for value in thing.box.extent_m)
             # A relevance goes without saying; a z-score does not.
             unit = "" if answer.measure.name == "relevance" else f"{answer.measure.name} "
-            score = f"{unit}{thing.instance.score:.2f}"
+            score = f"{unit}{thing.score:.2f}"
             table.add_row(answer.query, str(rank), thing.label, position, extent, score)
     if table.row_count:
         out.print(table)

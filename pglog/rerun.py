@@ -110,9 +110,9 @@ def rerun_command(
 
 def perceiver_of_run(run: Path, log: Path | None, options: PerceptionOptions) -> Perceiver | None:
     """The perceiver that the options name for the log of a run; None where none are given."""
-    from replay.divergence.rerun import open_run
+    from proground_log.run.opened import OpenedRun
 
-    return perceiver_of_replay(open_run(run, log).reader, options) if options.is_given else None
+    return perceiver_of_replay(OpenedRun(run, log).log, options) if options.is_given else None
 
 
 def _progress(frames: int) -> list[Sink]:

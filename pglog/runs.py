@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import sys
 from pathlib import Path
@@ -174,6 +173,8 @@ def evaluate_command(
     """
     from proground_log.evaluation.judge import GroundTruth, evaluate_run
     from proground_log.perception.map_texts import Texts
+    from proground_log.query.surface import Surfaces
+    from proground_log.run.opened import OpenedRun
 
     truth = None
     if (ground_truth is None) != (names is None) or (mapping and names is None):
@@ -186,9 +187,10 @@ def evaluate_command(
         truth = GroundTruth(ground_truth, names, mapping)
     texts = Texts(vocabulary, text_encoder)
     with shown_progress("evaluate") as progress:
-        result = evaluate_run(run, log, voxel_m, progress, ground_truth=truth, texts=texts)
+        surfaces = Surfaces(OpenedRun.finished(run, log))
+        result = evaluate_run(surfaces, voxel_m, progress, ground_truth=truth, texts=texts)
     if as_json:
-        print(json.dumps(dataclasses.asdict(result), indent=2))
+        print(json.dumps(result.to_json(), indent=2))
         return SAME
     print_table(str(run), {name: f"{value:.2f}" for name, value in result.scores.items()})
     if result.classes:

@@ -102,8 +102,10 @@ def sweep_command(
 
     # Workers may run elsewhere, where a relative path means something else.
     log, output, perception = log.resolve(), output.resolve(), _resolved(perception)
-    budgets_ms, seeds, axes = read_budgets(budget_ms), read_seeds(seed), read_axes(settings)
-    cells = grid(config.of_a_cell(), budgets_ms, seeds, axes)
+    base = config.of_a_cell()
+    budgets_ms, seeds = read_budgets(budget_ms), read_seeds(seed)
+    axes = read_axes(settings, base)
+    cells = grid(base, budgets_ms, seeds, axes)
     opener = partial(perceiver_of_replay, options=perception)
     judging = Judging(voxel_m, Texts(perception.vocabulary, perception.text_encoder))
     jobs = jobs_left(log, output, cells, opener, judging)

@@ -12,7 +12,6 @@ errors that a user can mend are `proground_log.errors.ProgroundError`.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,14 +21,13 @@ from proground_log.locations import located
 
 if TYPE_CHECKING:
     from proground_log.camera import Camera
-    from proground_log.field.view import RenderedView
     from proground_log.log.reader import LogReader
-    from proground_log.mapping.map_file import NeuralMap
+    from proground_log.mapping.map import Map, RenderedView
+    from proground_log.mapping.objects import SceneObject
     from proground_log.navigation.floor_plan import Robot
     from proground_log.navigation.journey import Journey
     from proground_log.query.ask import Answer
     from proground_log.query.mesh import Mesh
-    from proground_log.query.objects import SceneObject
     from proground_log.query.surface import Surface
     from proground_log.run.manifest import Manifest
 
@@ -58,10 +56,7 @@ def open_run(path: str | Path, *, log: str | Path | None = None) -> Run:
     Raises:
         ProgroundError: there is no finished run.
     """
-    from proground_log.run.folder import RunFolder
-
-    folder = RunFolder(Path(path)).require_finished()
-    return Run(folder.path, None if log is None else located(str(log)))
+    return Run(Path(path), None if log is None else located(str(log)))
 
 
 class Run:
@@ -73,38 +68,33 @@ class Run:
     """
 
     def __init__(self, path: Path, log_path: Path | None = None) -> None:
-        from proground_log.run.folder import RunFolder
+        from proground_log.query.surface import Surfaces
+        from proground_log.run.opened import OpenedRun
 
         self.path = path
-        self._folder, self._log_path = RunFolder(path), log_path
-        self._surface: Surface | None = None
+        self._opened = OpenedRun.finished(path, log_path)
+        self._surfaces = Surfaces(self._opened)
 
-    @cached_property
+    @property
     def manifest(self) -> Manifest:
         """What made the run (`manifest.config`) and its summary (`manifest.result`)."""
-        from proground_log.run.manifest import Manifest
+        return self._opened.manifest
 
-        return Manifest.read(self._folder.manifest)
-
-    @cached_property
+    @property
     def log(self) -> LogReader:
         """The log that the run was made of; raises a ProgroundError where it is another."""
-        from proground_log.run.manifest import open_log_of
+        return self._opened.log
 
-        return open_log_of(self.manifest, self._log_path)
-
-    @cached_property
-    def map(self) -> NeuralMap:
+    @property
+    def map(self) -> Map:
         """The map."""
-        from proground_log.mapping.map_file import load_map
-
-        return load_map(self._folder.map)
+        return self._opened.map
 
     @property
     def prompts(self) -> tuple[str, ...]:
         """What the run's task looked for; nothing where its log had no regions."""
-        semantics = self.map.semantics
-        return () if semantics is None else semantics.description.task.all_prompts
+        description = self.map.description
+        return () if description is None else description.task.all_prompts
 
     def events(self, kind: str | None = None) -> Iterator[dict[str, Any]]:
         """The entries of the ledger in their order.
@@ -117,31 +107,23 @@ class Run:
         """
         from proground_log.run.ledger import read_ledger
 
-        for entry in read_ledger(self._folder.ledger):
+        for entry in read_ledger(self._opened.folder.ledger):
             if kind is None or entry["event"] == kind:
                 yield entry
 
-    @cached_property
+    @property
     def losses(self) -> dict[str, np.ndarray]:
         """The loss of each step, by term: float32 [S], nan where a step had no such term.
 
         Terms are unweighted, but "total" is the weighted sum. "step" and "frame" are int64 [S],
         the step's number and that of the newest frame; "sim_time_ns" is simulated time.
         """
-        from proground_log.run.ledger import bits_float
-
-        steps = list(self.events("step"))
-        terms = dict.fromkeys(name for step in steps for name in step["losses"])
-        numbers = {
-            name: np.array([step[name] for step in steps], np.int64)
-            for name in ("step", "frame", "sim_time_ns")
-        }
-        nothing = "7fc00000"
-        return numbers | {
-            name: np.array(
-                [bits_float(step["losses"].get(name, nothing)) for step in steps], np.float32
-            )
-            for name in terms
+        history = self._opened.history
+        return {
+            "step": history.step,
+            "frame": history.step_frame,
+            "sim_time_ns": history.step_ns,
+            **history.losses,
         }
 
     def render(self, world_from_camera: np.ndarray, camera: Camera | None = None) -> RenderedView:
@@ -171,36 +153,24 @@ class Run:
         Raises:
             ProgroundError: the map has no surface.
         """
-        from proground_log.query.surface import surface_of
-
-        if self._surface is not None and self._surface.voxel_m == voxel_m:
-            return self._surface.mesh
-        # What is up does not matter here, so that the log need not be there.
-        return surface_of(self._folder, self.map, voxel_m, None).mesh
+        return self._surfaces.at(voxel_m).mesh
 
     def surface(self, voxel_m: float = 0.03) -> Surface:
         """The surface with what is up; of a map with meaning it can be asked (`ask`, `objects`).
 
-        The one that was made last is kept. Arguments and errors as for `mesh`; besides it is an
-        error if the log is another.
+        Arguments and errors as for `mesh`; asking it is an error if the log is another.
         """
-        from proground_log.query.surface import surface_of
-
-        if self._surface is None or self._surface.voxel_m != voxel_m:
-            self._surface = surface_of(self._folder, self.map, voxel_m, self._log_if_there)
-        return self._surface
+        return self._surfaces.at(voxel_m)
 
     def objects(self, voxel_m: float = 0.03) -> list[SceneObject]:
-        """What stands there: of each object its `label`, `instance` (position, score, vertices of
-        `mesh(voxel_m)`), `box` and `views`: frames in which the detector found it (None where
-        no log has what it found).
+        """What stands there: of each object its label, position, extent, score, box, `vertices` of
+        `mesh(voxel_m)`, and `views`: frames in which the detector found it (None where no log has
+        what it found).
 
         Raises:
             ProgroundError: the map knows no meaning or has no surface, or the log is another.
         """
-        from proground_log.query.surface import require_meaning
-
-        require_meaning(self.map, self.path)
+        self._opened.require_meaning()
         return self.surface(voxel_m).objects
 
     def query(
@@ -225,14 +195,10 @@ class Run:
             ProgroundError: the map knows no meaning, or nobody knows the text.
         """
         from proground_log.perception.map_texts import Texts
-        from proground_log.query.ask import query_surface, understand
-        from proground_log.query.surface import require_meaning
+        from proground_log.query.ask import query
 
-        require_meaning(self.map, self.path)
-        assert self.map.semantics is not None
         texts = Texts(vocabulary, text_encoder)
-        question = understand([text], self.map.semantics.description, texts=texts)
-        (answer,) = query_surface(self.surface(voxel_m), question, top_k)
+        _, (answer,) = query(self._surfaces, [text], voxel_m, top_k, texts=texts)
         return answer
 
     def navigate(
@@ -256,14 +222,7 @@ class Run:
         """
         from proground_log.navigation.floor_plan import Robot
         from proground_log.navigation.journey import navigate_surface
-        from proground_log.query.surface import require_meaning
 
         if isinstance(goal, str):
-            require_meaning(self.map, self.path)
+            self._opened.require_meaning()
         return navigate_surface(self.surface(voxel_m), start, goal, robot or Robot())
-
-    @cached_property
-    def _log_if_there(self) -> LogReader | None:
-        from proground_log.query.surface import log_if_there
-
-        return log_if_there(self._folder, self._log_path)

@@ -6,17 +6,22 @@ disagree. Arrays in an event are never written to after it was sent.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from proground_log.frame import Frame
 
+Counts = Mapping[str, Mapping[str, Any] | None]
+"""What a mapper holds, group by group: figures by name, which are whole numbers, lists of them, or
+numbers by name; None for a group that stays empty."""
+
 
 @dataclass(frozen=True)
 class TaskKnown:
-    """Meaning is learnt for this task; told first, and again when a replay is resumed.
+    """What meaning is learnt for.
 
     Args:
         name: the task's name.
@@ -27,6 +32,23 @@ class TaskKnown:
     name: str
     prompts: tuple[str, ...]
     colors: np.ndarray
+
+
+@dataclass(frozen=True)
+class MapperKnown:
+    """What makes the map; told first, and again when a replay is resumed.
+
+    Args:
+        kind: its kind.
+        has_steps: whether it does optimisation steps, so that there are losses.
+        counts: what it holds before the first frame; so one knows what it counts.
+        task: what meaning is learnt for; None where none is learnt.
+    """
+
+    kind: str
+    has_steps: bool
+    counts: Counts
+    task: TaskKnown | None
 
 
 @dataclass(frozen=True)
@@ -128,7 +150,6 @@ class StepDone:
         sim_time_ns: simulated time since the start of the replay.
         losses: each term by name, unweighted, and "total", the weighted sum; float32 values.
         draws_digest: sha256 over the rays and sample positions drawn, hexadecimal.
-        rays_current, rays_replayed: rays taken from the newest frame and from the buffer.
     """
 
     frame_index: int
@@ -137,53 +158,6 @@ class StepDone:
     sim_time_ns: int
     losses: dict[str, float]
     draws_digest: str
-    rays_current: int
-    rays_replayed: int
-
-
-@dataclass(frozen=True)
-class BufferStatistics:
-    """The replay buffer at one moment.
-
-    Args:
-        samples, capacity: samples held, and the cap.
-        keyframes: keyframes of which at least one sample is left.
-        places: occupied cells, the unit of the buffer's fairness.
-        water_level: most samples that any place holds.
-        size_bytes: memory the samples take.
-    """
-
-    samples: int
-    capacity: int
-    keyframes: int
-    places: int
-    water_level: int
-    size_bytes: int
-
-
-@dataclass(frozen=True)
-class SemanticStatistics:
-    """The memory of meaning at one moment.
-
-    Args:
-        samples, capacity: rays that hit a region, and the cap.
-        background: rays that hit none.
-        regions: regions whose embedding is held.
-        labels: rays by prompt.
-        levels: rays by pyramid level, [3].
-        inserted, evicted: rays that came in since the start of the replay, and had to go.
-        size_bytes: memory all of it takes.
-    """
-
-    samples: int
-    capacity: int
-    background: int
-    regions: int
-    labels: dict[str, int]
-    levels: list[int]
-    inserted: int
-    evicted: int
-    size_bytes: int
 
 
 @dataclass(frozen=True)
@@ -213,15 +187,13 @@ class FrameDone:
         frame_index: number of the frame in its log.
         steps: steps done for it.
         sim_time_ns: simulated time since the start of the replay.
-        buffer: the replay buffer afterwards.
-        semantics: the memory of meaning afterwards; None where none is learnt.
+        counts: what the mapper holds afterwards.
     """
 
     frame_index: int
     steps: int
     sim_time_ns: int
-    buffer: BufferStatistics
-    semantics: SemanticStatistics | None
+    counts: Counts
 
 
 @dataclass(frozen=True)
@@ -247,13 +219,15 @@ class SemanticView:
         features: uint8 [h, w, 3], the embeddings' colours, black where there is no surface.
         levels: uint8 [h, w], pyramid level 0 to 2, or 3 for "no supervision".
         uncertainty: float32 [h, w] in [0, 1].
+
+    The last three are None where the map does not have them.
     """
 
     labels: np.ndarray
     observed_labels: np.ndarray
-    features: np.ndarray
-    levels: np.ndarray
-    uncertainty: np.ndarray
+    features: np.ndarray | None
+    levels: np.ndarray | None
+    uncertainty: np.ndarray | None
 
 
 @dataclass(frozen=True)
@@ -281,13 +255,13 @@ class SurfaceMeaning:
 
     Args:
         labels: int16 [V], number of the best prompt; -1 for background.
-        features: uint8 [V, 3], the embeddings' colours.
+        features: uint8 [V, 3], the embeddings' colours; None where the map keeps none.
         relevance: float32 [V] in [0, 1], to one prompt.
         prompt: that prompt.
     """
 
     labels: np.ndarray
-    features: np.ndarray
+    features: np.ndarray | None
     relevance: np.ndarray
     prompt: str
 
@@ -325,7 +299,7 @@ class RunFinished:
 
 
 Event = (
-    TaskKnown
+    MapperKnown
     | FrameArrived
     | FrameDropped
     | RegionsArrived

@@ -19,6 +19,16 @@ AT_EDGE = -2
 """In place of a region: beside a depth jump, where nobody knows which side a pixel is of."""
 
 
+def evenly(count: int, most: int) -> list[int]:
+    """At most so many of the numbers 0 to count - 1, evenly spaced, rising.
+
+    Example:
+        >>> evenly(10, 4)
+        [0, 3, 6, 9]
+    """
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
+
+
 @dataclass(frozen=True)
 class SensorFrame:
     """What the sensors gave at one time, bytes untouched: what a log keeps.

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 from proground_log.camera import Calibration
 from proground_log.errors import ProgroundError
 from proground_log.log.reader import LogReader
+from proground_log.mapping.kinds import mapper_kind
 from proground_log.run.cost_model import CostModel
 from proground_log.run.settings import ReplayConfig
 from replay.scheduler import Policy, Slot, Timing, schedule
@@ -39,7 +40,7 @@ class Plan:
         reader: the log.
         config: the settings.
         cost_model: what each stage takes.
-        perceives: whether frames have regions, and meaning is learnt from them.
+        learns: whether frames have regions, and meaning is learnt from them.
 
     Raises:
         ProgroundError: a setting that makes no sense, a stage that the cost model does not have.
@@ -51,13 +52,13 @@ class Plan:
         config: ReplayConfig,
         cost_model: CostModel,
         *,
-        perceives: bool,
+        learns: bool,
     ) -> None:
         scale = config.simulation.cost_scale
         self._machine = cost_model.name + (f" at --cost-scale {scale:g}" if scale != 1 else "")
         self.chosen = config.selection.of(len(reader))[: config.max_frames]
         self.policy = _policy(config)
-        self.timing = _timing(reader.calibration, config, cost_model, perceives=perceives)
+        self.timing = _timing(reader.calibration, config, cost_model, learns=learns)
         self.held_out = config.held_out(len(reader))
         self._arrivals_ns = self._arrivals(reader, config)
 
@@ -89,11 +90,42 @@ class Plan:
             yield Turn(following, now_ns, None)
             following = next(held_out)
 
+    @property
+    def has_steps(self) -> bool:
+        """Whether the mapper optimises, so that frames get steps."""
+        return self.timing.step_ns > 0
+
+    def turns_until(self, frame: int, iteration: int) -> Iterator[Turn]:
+        """The turns up to a step in the middle of a frame, which ends there.
+
+        Raises:
+            ProgroundError: there is no such step.
+        """
+        for turn in self.turns():
+            if turn.frame == frame and turn.slot is not None and iteration < turn.slot.steps:
+                yield turn._replace(slot=self._cut(turn.slot, iteration + 1))
+                return
+            yield turn
+        raise ProgroundError(
+            f"there is no step {iteration} of frame {frame} in this replay",
+            where="--until-step",
+            todo="see the run's ledger for its frames and their steps",
+        )
+
+    def _cut(self, slot: Slot, steps: int) -> Slot:
+        step_ns = self.timing.step_ns
+        last_ns = slot.end_ns - (slot.steps - steps + 1) * step_ns
+        return slot._replace(
+            steps=steps,
+            end_ns=last_ns + step_ns,
+            meanwhile=tuple(event for event in slot.meanwhile if event.at_ns <= last_ns),
+        )
+
     def warning(self) -> str | None:
         """What to tell the user before a replay whose budget never holds a step; None otherwise."""
         slots = [turn.slot for turn in self.turns() if turn.slot is not None]
         budget_ns, step_ns = self.policy.budget_ns, self.timing.step_ns
-        if budget_ns is None or not slots or any(slot.steps for slot in slots):
+        if budget_ns is None or not self.has_steps or not slots or any(s.steps for s in slots):
             return None
         cheapest = min(slots, key=lambda slot: slot.end_ns - slot.begin_ns)
         rest_ns = cheapest.end_ns - cheapest.begin_ns
@@ -143,66 +175,22 @@ def _policy(config: ReplayConfig) -> Policy:
 
 
 def _timing(
-    calibration: Calibration,
-    config: ReplayConfig,
-    cost_model: CostModel,
-    *,
-    perceives: bool,
+    calibration: Calibration, config: ReplayConfig, cost_model: CostModel, *, learns: bool
 ) -> Timing:
-    of_perception = ("perceive", "semantic_insert", "semantic_step") if perceives else ()
-    cost_model.require(("decode", "insert", "step", *of_perception))
     color, depth = calibration.color, calibration.depth
-    sampling, semantics = config.mapper.sampling, config.mapper.semantics
     depth_pixels = depth.width * depth.height
-    step_ns = cost_model.cost_ns("step", sampling.rays * (sampling.uniform + sampling.near_surface))
-    if perceives:
-        rays = semantics.rays + semantics.background_rays
-        step_ns += cost_model.cost_ns("semantic_step", rays * semantics.samples)
+    work = mapper_kind(config.kind).work(config.mapper, depth_pixels, learns=learns)
+    perception = {"perceive": 1, **work.regions} if learns else {}
+    decode = {"decode": color.width * color.height + depth_pixels}
+    cost_model.require((*decode, *work.insert, *work.step, *perception))
+
+    def total_ns(units: Mapping[str, int]) -> int:
+        return sum(cost_model.cost_ns(stage, count) for stage, count in units.items())
+
     return Timing(
-        decode_ns=cost_model.cost_ns("decode", color.width * color.height + depth_pixels),
-        perceive_ns=cost_model.cost_ns("perceive", 1) if perceives else 0,
-        insert_ns=cost_model.cost_ns("insert", depth_pixels),
-        step_ns=step_ns,
-        learn_ns=cost_model.cost_ns("semantic_insert", depth_pixels) if perceives else 0,
+        decode_ns=total_ns(decode),
+        perceive_ns=cost_model.cost_ns("perceive", 1) if learns else 0,
+        insert_ns=total_ns(work.insert),
+        step_ns=total_ns(work.step),
+        learn_ns=total_ns(work.regions) if learns else 0,
     )
-
-
-class CutPlan(Plan):
-    """The plan of a run, up to some step of a mapped frame.
-
-    Args:
-        reader, config, cost_model, perceives: as for `Plan`.
-        frame: number of the frame in its log.
-        steps: the frame's steps up to there, at least 1.
-    """
-
-    def __init__(
-        self,
-        reader: LogReader,
-        config: ReplayConfig,
-        cost_model: CostModel,
-        *,
-        perceives: bool,
-        frame: int,
-        steps: int,
-    ) -> None:
-        super().__init__(reader, config, cost_model, perceives=perceives)
-        self._frame, self._cut_steps = frame, steps
-
-    def turns(self) -> Iterator[Turn]:
-        """The turns up to the frame, and one that is never taken: a replay stops before its end."""
-        for turn in super().turns():
-            if turn.frame == self._frame and turn.slot is not None:
-                yield turn._replace(slot=self._cut(turn.slot))
-                yield turn
-                return
-            yield turn
-
-    def _cut(self, slot: Slot) -> Slot:
-        step_ns = self.timing.step_ns
-        last_ns = slot.end_ns - (slot.steps - self._cut_steps + 1) * step_ns
-        return slot._replace(
-            steps=self._cut_steps,
-            end_ns=last_ns + step_ns,
-            meanwhile=tuple(event for event in slot.meanwhile if event.at_ns <= last_ns),
-        )

@@ -23,7 +23,7 @@ class Timing:
         decode_ns: to read and register a frame.
         perceive_ns: to find its regions; 0 where nothing is perceived.
         insert_ns: to put it into the mapper's memory.
-        step_ns: one optimisation step.
+        step_ns: one optimisation step; 0 where frames get none.
         learn_ns: to put its regions into memory, whenever they come; a perceived frame pays it.
     """
 
@@ -145,9 +145,10 @@ def schedule(
         ingest_ns = timing.decode_ns + timing.insert_ns + timing.learn_ns * is_perceived
         if is_perceived and perception is None:
             ingest_ns += timing.perceive_ns
-        steps, overrun_ns = policy.steps, 0
+        steps, overrun_ns = policy.steps if timing.step_ns else 0, 0
         if policy.budget_ns is not None:
-            steps = max(0, policy.budget_ns - ingest_ns) // timing.step_ns
+            if timing.step_ns:
+                steps = max(0, policy.budget_ns - ingest_ns) // timing.step_ns
             overrun_ns = max(0, ingest_ns - policy.budget_ns)
         begin_ns = now_ns
         now_ns += ingest_ns + steps * timing.step_ns

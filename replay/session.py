@@ -9,11 +9,15 @@ from contextlib import contextmanager
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
+from typing import NamedTuple
 
 from proground_log.errors import ProgroundError
 from proground_log.events import Sink
 from proground_log.files import disk_errors, file_sha256, require_file, require_free
 from proground_log.log.reader import LogReader
+from proground_log.mapping.kinds import mapper_kind
+from proground_log.mapping.map_file import save_map
+from proground_log.mapping.mapper import Mapper
 from proground_log.perception.description import PerceptionDescription, fingerprint
 from proground_log.perception.of_log import perception_of
 from proground_log.perception.perceiver import Perceiver
@@ -24,6 +28,7 @@ from proground_log.run.settings import ReplayConfig
 from replay.device import choose_device
 from replay.plan import Plan
 from replay.runner import Pause, ReplayStoppedError, Runner
+from replay.sinks import Sinks
 
 __all__ = ["ReplayStoppedError", "cost_model_of", "replay"]
 
@@ -66,10 +71,8 @@ def replay(
     Raises:
         ReplayStoppedError: the user stopped it; the run can be resumed.
     """
-    reader = LogReader(log_path)
-    device = choose_device(config.device)
+    reader, run = LogReader(log_path), RunFolder(run_path)
     perception = perceiver.description if perceiver is not None else perception_of(reader)
-    run = RunFolder(run_path)
     if resume:
         manifest = _manifest_to_resume(run, log_path, config, perception)
         if run.is_finished:
@@ -85,6 +88,7 @@ def replay(
             if config == ReplayConfig():
                 config = origin.config
             cost_model = cost_model or origin.cost_model
+        device = choose_device(config.device)
         model = cost_model or cost_model_of(config)
         manifest = Manifest.of(log_path, config, model, device, perception)
         if start is not None:
@@ -98,26 +102,96 @@ def replay(
             _begin_at(checkpoint, start, run)
     if (warning := plan.warning()) is not None:
         warn(warning)
-    runner = Runner(reader, run, manifest, plan, device, perception, perceiver, until_frame, pause)
-    with _stop_on_signals(runner):
-        summary = runner.run(watchers)
-    return replace(manifest, result=summary)
+    opened = open_runner(
+        reader, run, manifest, plan, perception, perceiver, watchers, until_frame, pause
+    )
+    with opened as (runner, mapper, sinks), _stop_on_signals(runner):
+        summary = runner.run()
+    manifest = replace(manifest, result=summary)
+    manifest.write(run.manifest)
+    sinks.finish()
+    # The map comes last: it says that the run is finished.
+    save_map(run.map, mapper.map())
+    run.forget_progress()
+    return manifest
+
+
+class OpenedRunner(NamedTuple):
+    """A replay that is ready to go on."""
+
+    runner: Runner
+    mapper: Mapper
+    sinks: Sinks
+
+
+@contextmanager
+def open_runner(
+    reader: LogReader,
+    run: RunFolder,
+    manifest: Manifest,
+    plan: Plan,
+    perception: PerceptionDescription | None,
+    perceiver: Perceiver | None = None,
+    watchers: Callable[[int], Sequence[Sink]] = lambda _: (),
+    until_frame: int | None = None,
+    pause: Pause | None = None,
+) -> Iterator[OpenedRunner]:
+    """Make mapper, sinks and runner of a run, at its checkpoint where it has one.
+
+    Args:
+        reader: the log.
+        run: where ledger and telemetry go.
+        manifest: what makes the run.
+        plan: the turns of its frames.
+        perception: what the regions of the frames mean; None where there are none.
+        perceiver, watchers, until_frame, pause: as for `replay`.
+    """
+    config = manifest.config
+    checkpoint = Checkpoint.read(run.checkpoint) if run.checkpoint.is_file() else None
+    mapper = mapper_kind(config.kind).make(
+        config.mapper,
+        bounds=reader.recording.bounds,
+        seed=config.seed,
+        device=choose_device(config.device),
+        perception=perception,
+    )
+    if checkpoint is not None:
+        mapper.restore(checkpoint.state)
+    ahead = sum(1 for _ in plan.turns()) - (0 if checkpoint is None else checkpoint.turns)
+    recording_id = f"{manifest.log_sha256[:16]}-{config.seed}"
+    drawn_as = recording_id if config.telemetry.enabled else None
+    with Sinks(run, checkpoint, drawn_as, watchers(ahead)) as sinks:
+        runner = Runner(
+            reader,
+            run,
+            config,
+            plan,
+            mapper,
+            sinks,
+            perceiver=perceiver,
+            checkpoint=checkpoint,
+            until_frame=until_frame,
+            pause=pause,
+        )
+        yield OpenedRunner(runner, mapper, sinks)
 
 
 def cost_model_of(config: ReplayConfig) -> CostModel:
     """The one that the settings name, for a computer as slow as they say."""
-    return CostModel.load(config.simulation.cost).scaled(config.simulation.cost_scale)
+    scale = config.simulation.cost_scale
+    model = CostModel.load(config.simulation.cost).scaled(scale)
+    return model.with_costs(mapper_kind(config.kind).costs, scale)
 
 
 def _plan(reader: LogReader, manifest: Manifest, perception: PerceptionDescription | None) -> Plan:
-    learns = perception is not None and manifest.config.mapper.semantics.enabled
-    return Plan(reader, manifest.config, manifest.cost_model, perceives=learns)
+    config = manifest.config
+    return Plan(reader, config, manifest.cost_model, learns=config.learns(perception))
 
 
 def _begin_at(checkpoint: Checkpoint, path: Path, run: RunFolder) -> None:
     """Give a new run the state of a checkpoint, and the ledger of its run up to there."""
-    of = _run_of(path)
-    ledger = require_file(of.ledger if of.ledger.is_file() else of.partial_ledger)
+    origin = _run_of(path)
+    ledger = require_file(origin.ledger if origin.ledger.is_file() else origin.partial_ledger)
     with disk_errors(run.path), ledger.open() as lines, run.partial_ledger.open("w") as kept:
         kept.writelines(islice(lines, checkpoint.ledger_lines))
     # The telemetry of the other run stays there: this run's begins here.
@@ -131,31 +205,28 @@ def _run_of(checkpoint: Path) -> RunFolder:
 
 def _origin_of(checkpoint: Path, run: RunFolder) -> Manifest:
     """What made the run that a checkpoint is of; that is not the run about to be written."""
-    of = _run_of(checkpoint)
-    if of.path == run.path.resolve():
+    origin = _run_of(checkpoint)
+    if origin.path == run.path.resolve():
         raise ProgroundError(
             "keeps the checkpoint to begin at", where=run.path, todo="name another folder"
         )
-    return Manifest.read(of.manifest)
+    manifest = Manifest.read(origin.manifest)
+    manifest.require_repeatable(origin.path)
+    return manifest
+
+
+BOOKKEEPING = ("digest_every", "checkpoint_every", "keep_checkpoints", "telemetry")
+"""Settings that touch no map."""
 
 
 def _require_same_map(manifest: Manifest, origin: Manifest, checkpoint: Path) -> None:
     """Raise a ProgroundError unless both runs do the same up to the checkpoint."""
-    bookkeeping = ("digest_every", "checkpoint_every", "keep_checkpoints", "telemetry")
-    kept = {name: getattr(origin.config, name) for name in bookkeeping}
-    pairs = {
-        "another log": (manifest.log_sha256, origin.log_sha256),
-        "other settings": (replace(manifest.config, **kept), origin.config),
-        "another cost model": (manifest.cost_model, origin.cost_model),
-        "another perception": (manifest.perception_sha256, origin.perception_sha256),
-    }
-    for what, (ours, theirs) in pairs.items():
-        if ours != theirs:
-            raise ProgroundError(
-                f"is of a run with {what}",
-                where=checkpoint,
-                todo="give the same log and perception, and leave the settings out",
-            )
+    for what in manifest.differences(origin, but=BOOKKEEPING):
+        raise ProgroundError(
+            f"is of a run with another {what}",
+            where=checkpoint,
+            todo="give the same log and perception, and leave the settings out",
+        )
 
 
 def _manifest_to_resume(
@@ -169,6 +240,7 @@ def _manifest_to_resume(
             "there is no run to resume", where=run.path, todo="leave out --resume to start one"
         )
     manifest = Manifest.read(run.manifest)
+    manifest.require_repeatable(run.path)
     if config not in (ReplayConfig(), manifest.config):
         raise ProgroundError(
             "the options differ from those that the run was started with",

@@ -6,9 +6,8 @@ import resource
 import sys
 from dataclasses import dataclass, field
 
-from proground_log.events import Event, FrameDropped, FrameScheduled, RegionsArrived
-from proground_log.mapping.map_file import NeuralMap
-from proground_log.mapping.online_mapper import OnlineMapper
+from proground_log.events import Counts, Event, FrameDropped, FrameScheduled, RegionsArrived
+from proground_log.mapping.mapper import Mapper
 
 NS_PER_S = 1_000_000_000
 
@@ -85,52 +84,45 @@ class Tally:
 
 
 def summary_of(
-    turns: int,
-    steps: int,
-    mapper: OnlineMapper,
-    content: NeuralMap,
-    tally: Tally,
-    seconds: dict[str, float],
+    turns: int, steps: int, mapper: Mapper, tally: Tally, seconds: dict[str, float]
 ) -> dict[str, object]:
-    """The figures by name; JSON values.
+    """What a run came to: the figures of its manifest, its table and its telemetry; JSON values.
 
     Args:
         turns: frames read, mapped or held out.
         steps: optimisation steps done.
         mapper: at its end.
-        content: its map.
         tally: of simulated time.
         seconds: the machine's time by stage.
     """
-    buffer = mapper.buffer.statistics()
     dropped = sum(tally.dropped.values())
+    task = {} if mapper.description is None else {"task": mapper.description.task.name}
     return {
         "frames arrived": turns + dropped,
         "frames mapped": tally.mapped,
         "frames dropped": dropped,
         "frames held out": turns - tally.mapped,
         "steps": steps,
-        "buffer samples": buffer.samples,
-        "buffer keyframes": buffer.keyframes,
-        "buffer MB": round(buffer.size_bytes / 1e6, 2),
-        "map MB": round(sum(content.sizes_bytes().values()) / 1e6, 2),
+        **task,
+        **_figures(mapper.counts()),
+        "map MB": round(sum(mapper.map().sizes_bytes().values()) / 1e6, 2),
         "peak memory MB": round(peak_memory_bytes() / 1e6),
-        **_of_semantics(mapper),
         "simulation": tally.summary(),
         "machine s": {stage: round(s, 3) for stage, s in seconds.items()},
     }
 
 
-def _of_semantics(mapper: OnlineMapper) -> dict[str, object]:
-    if mapper.semantics is None:
-        return {}
-    statistics = mapper.semantics.statistics()
-    return {
-        "task": mapper.semantics.description.task.name,
-        "semantic samples": statistics.samples,
-        "semantic regions": statistics.regions,
-        "semantic MB": round(statistics.size_bytes / 1e6, 2),
-    }
+def _figures(counts: Counts) -> dict[str, object]:
+    """What a mapper holds, each figure by its group and name; memory in megabytes."""
+    figures: dict[str, object] = {}
+    for group, held in counts.items():
+        for name, value in (held or {}).items():
+            title = f"{group} {name.replace('_', ' ')}"
+            if name == "size_bytes":
+                figures[f"{group} MB"] = round(value / 1e6, 2)
+            elif isinstance(value, int):
+                figures[title] = value
+    return figures
 
 
 def peak_memory_bytes() -> int:

@@ -106,7 +106,7 @@ def test_a_term_that_a_step_lacks_is_not_a_number(
     number = {"event": "step", "step": 0, "frame": 0, "sim_time_ns": 0}
     steps = [{**number, "losses": {"rgb": "3f800000"}}, {**number, "losses": {"depth": "40000000"}}]
     opened = pg.open_run(run.path)
-    monkeypatch.setattr(opened, "events", lambda _: iter(steps))
+    monkeypatch.setattr("proground_log.run.history.read_ledger", lambda _: iter(steps))
     np.testing.assert_array_equal(opened.losses["rgb"], [1.0, np.nan])
     np.testing.assert_array_equal(opened.losses["depth"], [np.nan, 2.0])
 
@@ -137,7 +137,7 @@ def test_objects_number_the_vertices_of_the_mesh(run: pg.Run) -> None:
         assert thing.label in run.prompts
         # The replay itself ran the detector: no log says who saw what.
         assert thing.views is None
-        inside_m = np.abs(vertices_m[thing.instance.vertices] - thing.box.centre_m) @ np.abs(
+        inside_m = np.abs(vertices_m[thing.vertices] - thing.box.centre_m) @ np.abs(
             thing.box.axes.T
         )
         # Boxes leave out two percent on either side of three axes.

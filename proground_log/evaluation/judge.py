@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
+import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from proground_log.errors import ProgroundError
 from proground_log.evaluation.instance_scores import InstanceCounts
@@ -17,16 +20,14 @@ from proground_log.evaluation.semantics import (
     score_table,
     semantic_scores,
 )
-from proground_log.log.reader import LogReader
+from proground_log.files import written_whole
 from proground_log.log.registration import Registration
 from proground_log.log.topics import MESH_ATTACHMENT
-from proground_log.mapping.map_file import NeuralMap, load_map
 from proground_log.perception.map_texts import Texts, texts_for
 from proground_log.perception.texts import TextSpace
-from proground_log.query.mesh import extract_mesh, read_ply_vertices
-from proground_log.query.surface import VOXEL_M, surface_of
-from proground_log.run.folder import RunFolder
-from proground_log.run.manifest import Manifest, open_log_of
+from proground_log.query.mesh import read_ply_vertices
+from proground_log.query.surface import LOOK_VOXEL_M, OBJECTS_VOXEL_M, Surfaces
+from proground_log.run.opened import OpenedRun
 
 
 @dataclass(frozen=True)
@@ -56,16 +57,32 @@ class Evaluation:
             tell objects apart or the map has no meaning.
     """
 
-    scores: dict[str, float]
-    classes: dict[str, tuple[int, float]]
+    scores: dict[str, float] = field(default_factory=dict)
+    classes: dict[str, tuple[int, float]] = field(default_factory=dict)
     instances: dict[str, InstanceCounts] = field(default_factory=dict)
+
+    def merged(self, other: Evaluation) -> Evaluation:
+        """Both together; of what both have, the other's."""
+        return Evaluation(
+            self.scores | other.scores,
+            self.classes | other.classes,
+            self.instances | other.instances,
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """As JSON values."""
+        return dataclasses.asdict(self)
+
+    def write(self, path: Path) -> None:
+        """Write it as JSON, whole or not at all."""
+        with written_whole(path) as temporary:
+            temporary.write_text(json.dumps(self.to_json(), indent=2) + "\n")
 
 
 def evaluate_run(
-    run_path: Path,
-    log_path: Path | None,
-    voxel_m: float,
-    progress: Callable[[int, int], None],
+    surfaces: Surfaces,
+    voxel_m: float = LOOK_VOXEL_M,
+    progress: Callable[[int, int], None] = lambda *_: None,
     *,
     ground_truth: GroundTruth | None = None,
     texts: Texts = Texts(),
@@ -73,69 +90,90 @@ def evaluate_run(
     """Score a run on its held-out views, on the true mesh and on labels, as far as there are any.
 
     Args:
-        run_path: folder of a finished run.
-        log_path: its log, or None where it is where the run found it.
+        surfaces: of a finished run, whose log is there.
         voxel_m: voxels of the map's mesh; objects are told apart on one no finer than theirs.
         progress: told the views scored and the views in all.
         ground_truth: labelled points that take the place of the log's.
         texts: embeddings of candidate names that the map does not know.
     """
-    run = RunFolder(run_path).require_finished()
-    manifest = Manifest.read(run.manifest)
-    reader = open_log_of(manifest, log_path)
-    content = load_map(run.map)
-    points, space = _labelled_points(content, reader, ground_truth, texts)
-    held_out = manifest.config.held_out(len(reader))
-    mesh_bytes = reader.attachment(MESH_ATTACHMENT)
+    run = surfaces.run
+    points, space = _labelled_points(run, ground_truth, texts)
+    held_out = run.manifest.config.held_out(len(run.log))
+    mesh_bytes = run.log.attachment(MESH_ATTACHMENT)
     if not held_out and mesh_bytes is None and points is None:
         raise ProgroundError(
             "there is nothing to judge it by: no frame was held out, the log has no true mesh",
-            where=run_path,
+            where=run.path,
             todo="replay with --hold-out-every 10",
         )
-    scores: dict[str, float] = {}
-    classes: dict[str, tuple[int, float]] = {}
-    instances: dict[str, InstanceCounts] = {}
+    result = Evaluation()
     if held_out:
-        register = Registration(reader.calibration)
-        views = []
-        for sensor in reader.frames(held_out):
-            views.append(score_view(content, register(sensor)))
-            progress(len(views), len(held_out))
-        scores |= view_summary(views)
-    if mesh_bytes is not None or points is not None:
-        mesh = extract_mesh(content, voxel_m)
-        if mesh_bytes is not None:
-            scores |= mesh_scores(mesh.vertices_m, read_ply_vertices(mesh_bytes))
-            if content.semantics is not None and ground_truth is None and len(mesh.vertices_m):
-                found = object_scores(surface_of(run, content, max(voxel_m, VOXEL_M), reader))
-                scores |= {} if found is None else object_table(found)
-                instances = {} if found is None else found.alone.classes
-        if points is not None and space is not None:
-            top_k = semantic_scores(content, points, space, mesh.vertices_m)
-            scores |= score_table(top_k)
-            classes = {points.names[k]: part for k, part in top_k.per_class.items()}
-    sizes_bytes = content.sizes_bytes()
-    scores["map_mb"] = sum(sizes_bytes.values()) / 1e6
-    for part, size_bytes in sizes_bytes.items():
-        scores[f"map_mb_{part.replace(' ', '_')}"] = size_bytes / 1e6
-    return Evaluation(scores, classes, instances)
+        result = result.merged(_of_views(run, held_out, progress))
+    if mesh_bytes is not None:
+        result = result.merged(_of_mesh(surfaces, voxel_m, mesh_bytes))
+        if ground_truth is None:
+            result = result.merged(_of_objects(surfaces, voxel_m))
+    if points is not None and space is not None:
+        result = result.merged(_of_labels(surfaces, voxel_m, points, space))
+    return result.merged(_of_size(run))
+
+
+def _of_views(
+    run: OpenedRun, held_out: list[int], progress: Callable[[int, int], None]
+) -> Evaluation:
+    register = Registration(run.log.calibration)
+    views = []
+    for sensor in run.log.frames(held_out):
+        views.append(score_view(run.map, register(sensor)))
+        progress(len(views), len(held_out))
+    return Evaluation(view_summary(views))
+
+
+def _of_mesh(surfaces: Surfaces, voxel_m: float, mesh_bytes: bytes) -> Evaluation:
+    vertices_m = surfaces.mesh(voxel_m).vertices_m
+    return Evaluation(mesh_scores(vertices_m, read_ply_vertices(mesh_bytes)))
+
+
+def _of_objects(surfaces: Surfaces, voxel_m: float) -> Evaluation:
+    no_meaning = surfaces.run.map.description is None
+    if no_meaning or not len(surfaces.mesh(voxel_m).vertices_m):
+        return Evaluation()
+    found = object_scores(surfaces.at(max(voxel_m, OBJECTS_VOXEL_M)))
+    if found is None:
+        return Evaluation()
+    return Evaluation(object_table(found), instances=found.alone.classes)
+
+
+def _of_labels(
+    surfaces: Surfaces, voxel_m: float, points: LabelledPoints, space: TextSpace
+) -> Evaluation:
+    surface_m = surfaces.mesh(voxel_m).vertices_m
+    top_k = semantic_scores(surfaces.run.map, points, space, surface_m)
+    classes = {points.names[k]: part for k, part in top_k.per_class.items()}
+    return Evaluation(score_table(top_k), classes)
+
+
+def _of_size(run: OpenedRun) -> Evaluation:
+    sizes_bytes = run.map.sizes_bytes()
+    parts = {f"map_mb_{part.replace(' ', '_')}": n / 1e6 for part, n in sizes_bytes.items()}
+    return Evaluation({"map_mb": sum(sizes_bytes.values()) / 1e6, **parts})
 
 
 def _labelled_points(
-    content: NeuralMap, reader: LogReader, ground_truth: GroundTruth | None, texts: Texts
+    run: OpenedRun, ground_truth: GroundTruth | None, texts: Texts
 ) -> tuple[LabelledPoints | None, TextSpace | None]:
-    """What to judge the map's semantics by, and the texts to do it with."""
-    if content.semantics is None:
+    """What to judge the map's meaning by, and the texts to do it with."""
+    log, description = run.log, run.map.description
+    if description is None:
         if ground_truth is not None:
             raise ProgroundError(
                 "the map knows no names that labels could judge",
-                where=reader.path,
+                where=log.path,
                 todo="run `pglog perceive` on the log, and replay what it gives",
             )
         return None, None
-    space = texts_for(content.semantics.description, texts.vocabulary, texts.text_encoder)
+    space = texts_for(description, texts.vocabulary, texts.text_encoder)
     if ground_truth is None:
-        return labelled_points_of_log(reader, space), space
+        return labelled_points_of_log(log, space), space
     files = ground_truth.mesh, ground_truth.names, ground_truth.mapping
-    return labelled_points_of_files(*files, reader.label_names), space
+    return labelled_points_of_files(*files, log.label_names), space

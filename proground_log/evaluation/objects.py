@@ -49,8 +49,7 @@ def object_scores(surface: Surface) -> ObjectScores | None:
     Returns:
         None where the log has no mesh that tells objects apart.
     """
-    reader = surface.log
-    assert reader is not None
+    reader = surface.run.log
     attachment = reader.attachment(MESH_ATTACHMENT)
     if attachment is None or not reader.label_names:
         return None

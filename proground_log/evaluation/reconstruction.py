@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from proground_log.evaluation.picture_quality import structural_similarity
 from proground_log.frame import Frame
-from proground_log.mapping.map_file import NeuralMap
+from proground_log.mapping.map import Map
 
 FARTHEST_M = 5.0
 """Depth beyond this is not judged: the sensor's own error there is of the size of a map's."""
@@ -47,9 +47,9 @@ class ViewScore:
         return -10 * math.log10(self.color_mse) if self.color_mse else math.inf
 
 
-def score_view(content: NeuralMap, frame: Frame) -> ViewScore:
+def score_view(mapped: Map, frame: Frame) -> ViewScore:
     """Render the frame's view at full size, without its depth, and compare."""
-    view = content.render(frame.camera, frame.world_from_camera, antialias=True)
+    view = mapped.render(frame.camera, frame.world_from_camera, antialias=True)
     measured = frame.depth_m > 0
     judged = measured & frame.color_valid
     error = (view.color.astype(np.float64) - frame.color)[judged] / 255

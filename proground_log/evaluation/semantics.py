@@ -20,9 +20,8 @@ from proground_log.evaluation.top_k import TopK, accuracy_of_ranks, truth_ranks
 from proground_log.files import require_file
 from proground_log.log.reader import LogReader
 from proground_log.log.topics import MESH_ATTACHMENT
-from proground_log.mapping.map_file import NeuralMap
+from proground_log.mapping.map import Map
 from proground_log.perception.texts import TextSpace
-from proground_log.query.grounding import ask_map
 
 POINTS_AT_ONCE = 32768
 BACKGROUND = ("wall", "floor", "ceiling", "void")
@@ -92,12 +91,12 @@ def _knows(texts: TextSpace, name: str) -> bool:
 
 
 def semantic_scores(
-    content: NeuralMap, points: LabelledPoints, texts: TextSpace, surface_m: np.ndarray
+    mapped: Map, points: LabelledPoints, texts: TextSpace, surface_m: np.ndarray
 ) -> TopK:
-    """Ask the field at the points themselves and score its answers.
+    """Ask the map at the points themselves and score its answers.
 
     Args:
-        content: a map with semantics.
+        mapped: a map with meaning.
         points: the truth.
         texts: where the candidates' names are looked up.
         surface_m: [S, 3] the map's vertices, for the coverage.
@@ -107,7 +106,7 @@ def semantic_scores(
     ranks = np.full(len(points.truth), -1)
     for start in range(0, len(judged), POINTS_AT_ONCE):
         rows = judged[start : start + POINTS_AT_ONCE]
-        logits, _ = ask_map(content, points.points_m[rows], embeddings)
+        logits, _ = mapped.ask(points.points_m[rows], embeddings)
         ranks[rows] = truth_ranks(logits, points.truth[rows])
     distances_m = np.full(len(points.truth), np.inf)
     if len(surface_m):

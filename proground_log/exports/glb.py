@@ -9,7 +9,7 @@ import trimesh
 
 from proground_log.exports.labels import SurfaceLabels
 from proground_log.files import written_whole
-from proground_log.query.boxes import upright_from_world
+from proground_log.mapping.boxes import upright_from_world
 from proground_log.query.mesh import Mesh
 
 Y_UP_FROM_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])

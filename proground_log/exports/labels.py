@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from proground_log.mapping.objects import SceneObject
 from proground_log.perception.task import Task
-from proground_log.query.objects import SceneObject, object_of_vertices
+from proground_log.query.objects import object_of_vertices
 
 BACKGROUND_NAME = "background"
 DIMMED = 0.7
@@ -55,7 +56,7 @@ def label_surface(vertices: int, objects: Sequence[SceneObject], task: Task) -> 
     """
     # The last row stands for no object, whose number is -1.
     label = np.array([1 + task.prompts.index(thing.label) for thing in objects] + [0], np.uint16)
-    score = np.array([thing.instance.score for thing in objects] + [0], np.float32)
+    score = np.array([thing.score for thing in objects] + [0], np.float32)
     numbers = object_of_vertices(objects, vertices)
     return SurfaceLabels(
         labels=label[numbers],

@@ -22,8 +22,8 @@ from proground_log.exports.ros_messages import (
 from proground_log.files import written_whole
 from proground_log.log.topics import LABEL_NAMES_ATTACHMENT, WORLD_FRAME
 from proground_log.log.writer import start_mcap
+from proground_log.mapping.objects import SceneObject
 from proground_log.query.mesh import Mesh
-from proground_log.query.objects import SceneObject
 
 SURFACE, OUTLINES, OBJECTS = "/map/surface", "/map/object_outlines", "/map/objects"
 _TYPES = {SURFACE: POINT_CLOUD_TYPE, OUTLINES: POINT_CLOUD_TYPE, OBJECTS: MARKERS_TYPE}
@@ -82,7 +82,7 @@ def _markers(labels: SurfaceLabels, objects: Sequence[SceneObject], stamp_ns: in
     """All boxes, with names such as "2 chair"."""
     markers: list[object] = []
     for number, thing in enumerate(objects, start=1):
-        r, g, b = labels.palette[labels.labels[thing.instance.vertices[0]]].tolist()
+        r, g, b = labels.palette[labels.labels[thing.vertices[0]]].tolist()
         title = f"{number} {thing.label}"
         markers += box_markers(number, thing.box, title, (r, g, b), stamp_ns, WORLD_FRAME)
     return SimpleNamespace(markers=markers)
@@ -95,7 +95,7 @@ def _outlines(labels: SurfaceLabels, objects: Sequence[SceneObject], stamp_ns: i
         edges = [_line(*thing.box.corners_m[[a, b]]) for a, b in _EDGES]
         points += edges
         lengths.append(sum(map(len, edges)))
-    first = np.array([thing.instance.vertices[0] for thing in objects], int)
+    first = np.array([thing.vertices[0] for thing in objects], int)
     labels_of = np.repeat(labels.labels[first], lengths)
     scores_of = np.repeat(labels.scores[first], lengths)
     return point_cloud(

@@ -11,30 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from proground_log.files import written_whole
-from proground_log.mapping.map_file import load_map
+from proground_log.mapping.boxes import OrientedBox
+from proground_log.mapping.objects import SceneObject
 from proground_log.perception.task import Task
-from proground_log.query.boxes import OrientedBox
-from proground_log.query.objects import SceneObject
-from proground_log.query.surface import Surface, log_if_there, require_meaning, surface_of
-from proground_log.run.folder import RunFolder
-
-
-def surface_of_run(run_path: Path, voxel_m: float, log_path: Path | None = None) -> Surface:
-    """The surface of a finished run that has meaning: its `objects` are what stands there.
-
-    Args:
-        run_path: folder of a finished run whose log had regions.
-        voxel_m: voxels of the surface that is asked.
-        log_path: the run's log, or None where it is where the run found it. Without it objects
-            are told apart by the map alone.
-
-    Raises:
-        ProgroundError: the run has no meaning or no surface, or the log is another.
-    """
-    run = RunFolder(run_path).require_finished()
-    content = load_map(run.map)
-    require_meaning(content, run_path)
-    return surface_of(run, content, voxel_m, log_if_there(run, log_path))
 
 
 def write_objects_csv(path: Path, objects: Sequence[SceneObject]) -> None:
@@ -55,10 +34,10 @@ def object_rows(objects: Sequence[SceneObject]) -> list[dict[str, object]]:
         {
             "number": number,
             "label": thing.label,
-            "position_m": rounded(thing.instance.position_m),
+            "position_m": rounded(thing.position_m),
             "box": box_json(thing.box),
-            "score": round(thing.instance.score, 4),
-            "vertices": len(thing.instance),
+            "score": round(thing.score, 4),
+            "vertices": len(thing.vertices),
             "views": thing.views,
         }
         for number, thing in enumerate(objects, start=1)

@@ -10,20 +10,17 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from scipy.special import softmax
 
 from proground_log.errors import ProgroundError
 from proground_log.files import written_whole
-from proground_log.mapping.map_file import NeuralMap
-from proground_log.query.grounding import BACKGROUND, background_probability
+from proground_log.mapping.map import BACKGROUND, Map
 from proground_log.query.mesh import Mesh
-from proground_log.regions import LEVELS
 
 FILES = ("embeddings.npy", "index.npy", "point_cloud.pcd")
 _AT_ONCE = 32768
 
 
-def write_openlex3d(folder: Path, content: NeuralMap, mesh: Mesh) -> int:
+def write_openlex3d(folder: Path, mapped: Map, mesh: Mesh) -> int:
     """Write a map as a dense prediction: an embedding a point.
 
     Background is left out: nothing was learnt there, and the benchmark tells what is missing from
@@ -33,7 +30,7 @@ def write_openlex3d(folder: Path, content: NeuralMap, mesh: Mesh) -> int:
         folder: where `FILES` go, each whole or not at all: embeddings float32 [N, 512] of length 1
             in the space of the detector's texts (for YOLO-World that of CLIP ViT-B/32), index
             int64 [N], and the cloud with x, y, z, rgb.
-        content: a map with semantics.
+        mapped: a map with semantics.
         mesh: its surface, of which the vertices are taken.
 
     Returns:
@@ -42,7 +39,7 @@ def write_openlex3d(folder: Path, content: NeuralMap, mesh: Mesh) -> int:
     Raises:
         ProgroundError: all of the map is background.
     """
-    embeddings, is_thing = _text_space(content, mesh.vertices_m)
+    embeddings, is_thing = _text_space(mapped, mesh.vertices_m)
     count = len(embeddings)
     if not count:
         raise ProgroundError(
@@ -56,19 +53,19 @@ def write_openlex3d(folder: Path, content: NeuralMap, mesh: Mesh) -> int:
     return count
 
 
-def _text_space(content: NeuralMap, points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _text_space(mapped: Map, points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Embeddings [N, 512] as the texts' space has them, and which points they are of, bool [V]."""
-    assert content.semantics is not None
-    heads = content.semantics.description.heads
     embeddings, chosen = [], []
     for start in range(0, len(points_m), _AT_ONCE):
-        semantics = content.semantics_at(points_m[start : start + _AT_ONCE])
-        background = background_probability(semantics.scale_logits, semantics.uncertainty)
-        is_thing = background < BACKGROUND
-        weights = softmax(semantics.scale_logits[is_thing, :LEVELS], axis=1)
-        aligned = weights @ heads.scale * semantics.embeddings[is_thing] + weights @ heads.shift
-        lengths = np.linalg.norm(aligned, axis=1, keepdims=True)
-        embeddings.append((aligned / np.maximum(lengths, 1e-12)).astype(np.float32))
+        meaning = mapped.meaning(points_m[start : start + _AT_ONCE])
+        if meaning.embeddings is None:
+            raise ProgroundError(
+                "the map keeps no embeddings",
+                where=f"a map of kind {mapped.kind}",
+                todo="export a map of kind neural, or something else of this one",
+            )
+        is_thing = meaning.background < BACKGROUND
+        embeddings.append(meaning.embeddings[is_thing])
         chosen.append(is_thing)
     return np.concatenate(embeddings), np.concatenate(chosen)
 

@@ -14,7 +14,7 @@ from mcap_ros2._dynamic import serialize_dynamic
 from scipy.spatial.transform import Rotation
 
 from proground_log.log.messages import HEADER_DEFINITION, header
-from proground_log.query.boxes import OrientedBox
+from proground_log.mapping.boxes import OrientedBox
 
 POINT_CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
 MARKERS_TYPE = "visualization_msgs/msg/MarkerArray"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -58,21 +56,6 @@ class EmptySpace:
         return self._distance_m[(cells * self._strides).sum(dim=1)]
 
 
-@dataclass(frozen=True)
-class RenderedView:
-    """What a camera would see of a map.
-
-    Args:
-        color: uint8 [H, W, 3] RGB.
-        depth_m: float32 [H, W] along z in metres; both 0 where a ray meets no surface.
-        features: what semantic heads look at, [H * W, ...]; None where none was asked for.
-    """
-
-    color: np.ndarray
-    depth_m: np.ndarray
-    features: PointFeatures | None
-
-
 @torch.no_grad()
 def render_view(
     field: NeuralField,
@@ -83,7 +66,7 @@ def render_view(
     near_m: float,
     space: SemanticSpace | None = None,
     antialias: bool = False,
-) -> RenderedView:
+) -> tuple[np.ndarray, np.ndarray, PointFeatures | None]:
     """Render colour, depth and semantic features as the camera would see the map.
 
     Each ray marches through the signed distances to the first change of sign and is then
@@ -99,6 +82,10 @@ def render_view(
         near_m: where the rays begin, in metres along z.
         space: what semantics are decoded from; None renders no features.
         antialias: colour the pixels at edges as the mean of four rays; depth stays that of one.
+
+    Returns:
+        Colour, uint8 [H, W, 3] RGB; depth, float32 [H, W] along z in metres, both 0 where a ray
+        meets no surface; and in a space what semantic heads look at, [H * W, ...].
     """
     device = field.table.device
     rotation = world_from_camera[:3, :3].astype(np.float32)
@@ -116,7 +103,7 @@ def render_view(
             field, empty, origin_m, directions[rough], camera, rotation, near_m
         )
     image = (color * 255).round().to(torch.uint8)
-    return RenderedView(
+    return (
         image.reshape(camera.height, camera.width, 3).cpu().numpy(),
         depth_m.reshape(camera.height, camera.width).cpu().numpy(),
         PointFeatures.concatenate(features) if space is not None else None,

@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import networkx as nx
 import numpy as np
 
 from proground_log.errors import ProgroundError
-from proground_log.mapping.map_file import load_map
+from proground_log.mapping.objects import SceneObject
 from proground_log.navigation.floor_plan import FloorPlan, Robot, draw_floor_plan
 from proground_log.navigation.picture import Sight
 from proground_log.navigation.planner import Planner, Route
 from proground_log.navigation.voronoi import Cell
 from proground_log.perception.map_texts import Texts
 from proground_log.query.ask import Answer, query_surface, understand
-from proground_log.query.instances import Instance
 from proground_log.query.mesh import Mesh
-from proground_log.query.objects import SceneObject
-from proground_log.query.surface import Surface, log_if_there, require_meaning, surface_of
-from proground_log.run.folder import RunFolder
+from proground_log.query.surface import Surface
 
 MOST_THINGS = 10
 """A text may name several things: so many are tried, best first."""
@@ -56,33 +52,6 @@ class Journey:
     def name(self) -> str:
         """The goal in words."""
         return self.goal if isinstance(self.goal, str) else "{:.2f}, {:.2f}".format(*self.goal)
-
-
-def navigate_run(
-    run_path: Path,
-    start: Place,
-    goal: str | Place,
-    robot: Robot,
-    voxel_m: float,
-    *,
-    texts: Texts = Texts(),
-    log_path: Path | None = None,
-) -> Journey:
-    """Find a way on the map of a run; see `navigate_surface`.
-
-    Args:
-        run_path: folder of a finished run; for a text its log must have had regions.
-        start, goal, robot, texts: from where to where, and who.
-        voxel_m: voxels of the mesh that the floor plan is drawn of.
-        log_path: the run's log, or None where it is where the run found it. Its cameras say which
-            way is up; without it z is.
-    """
-    run = RunFolder(run_path).require_finished()
-    content = load_map(run.map)
-    if isinstance(goal, str):
-        require_meaning(content, run_path)
-    surface = surface_of(run, content, voxel_m, log_if_there(run, log_path))
-    return navigate_surface(surface, start, goal, robot, texts=texts)
 
 
 def navigate_surface(
@@ -121,7 +90,7 @@ def navigate_surface(
     return Journey(goal, route, plan, planner.graph, surface, robot, thing, rank)
 
 
-def footprint(plan: FloorPlan, mesh: Mesh, thing: Instance) -> np.ndarray:
+def footprint(plan: FloorPlan, mesh: Mesh, thing: SceneObject) -> np.ndarray:
     """A thing's vertices within its extent, seen from above, [N, 2]."""
     points_m = mesh.vertices_m[thing.vertices].astype(np.float64)
     # A few lie outside: strays, to which nobody wants to drive.
@@ -133,7 +102,7 @@ def sight(journey: Journey) -> Sight | None:
     """The thing that a journey leads to as a floor plan shows it, if it leads to one."""
     if journey.thing is None:
         return None
-    places_m = footprint(journey.plan, journey.surface.mesh, journey.thing.instance)
+    places_m = footprint(journey.plan, journey.surface.mesh, journey.thing)
     (left, low), (right, high) = places_m.min(axis=0), places_m.max(axis=0)
     corners_m = np.array([(left, low), (right, low), (right, high), (left, high)])
     return Sight(journey.name, corners_m)
@@ -144,7 +113,7 @@ def _to_first(planner: Planner, mesh: Mesh, answer: Answer) -> tuple[Route, int]
     faults: list[ProgroundError] = []
     for rank, thing in enumerate(answer.things, start=1):
         try:
-            place_m = footprint(planner.plan, mesh, thing.instance)
+            place_m = footprint(planner.plan, mesh, thing)
             return planner.to_thing(place_m, answer.query), rank
         except ProgroundError as fault:
             faults.append(fault)

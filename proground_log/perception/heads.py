@@ -28,3 +28,13 @@ class TextHeads:
         """Logits [N, K] of embeddings [N, 512] of one level for texts [K, 512] of length 1."""
         aligned = embeddings.astype(np.float32) * self.scale[level] + self.shift[level]
         return aligned @ texts.T * np.exp(self.logit_scale[level]) + self.bias[level]
+
+    def in_text_space(self, embeddings: np.ndarray, levels: np.ndarray) -> np.ndarray:
+        """What embeddings [N, 512] of levels [N] come to whatever the text, float32 [N, 513].
+
+        With g the first 512 numbers of a row and b the last, its logit for a text t is <g, t> + b:
+        so the mean of rows has the mean of their logits.
+        """
+        factor = np.exp(self.logit_scale)[levels, None]
+        aligned = embeddings.astype(np.float32) * self.scale[levels] + self.shift[levels]
+        return np.concatenate([factor * aligned, self.bias[levels, None]], axis=1)

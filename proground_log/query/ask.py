@@ -5,26 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 from scipy.special import expit, logit
 
 from proground_log.errors import ProgroundError
 from proground_log.log.reader import LogReader
-from proground_log.mapping.map_file import load_map
+from proground_log.mapping.map import BACKGROUND
+from proground_log.mapping.objects import SceneObject
 from proground_log.perception.description import PerceptionDescription
 from proground_log.perception.map_texts import Texts, texts_for
 from proground_log.perception.of_log import prompt_of
 from proground_log.query.attributes import COLORS, SHARE, color_names, light_of
-from proground_log.query.grounding import BACKGROUND, MARGIN, relevance_to, z_scores
+from proground_log.query.grounding import MARGIN, relevance_to, z_scores
 from proground_log.query.image_query import ImageQuery, embed_image
-from proground_log.query.objects import LEAST_RELEVANCE, SceneObject
+from proground_log.query.objects import LEAST_RELEVANCE
 from proground_log.query.parse import Query, parse_query
 from proground_log.query.relations import RELATIONS
-from proground_log.query.surface import Surface, log_if_there, require_meaning, surface_of
-from proground_log.run.folder import RunFolder
-from proground_log.run.manifest import Manifest, open_log_of
+from proground_log.query.surface import Surface, Surfaces
 
 NOT_MARGIN = 1.0
 """What a query must not be has to fit a thing so much less than the query, in logits."""
@@ -137,40 +135,33 @@ def understand(
     return Question(tuple(names), queries, rows, np.concatenate([embeddings, pictures]), named)
 
 
-def query_run(
-    run_path: Path,
+def query(
+    surfaces: Surfaces,
     names: Sequence[str],
     voxel_m: float,
     top_k: int,
     *,
     image: ImageQuery | None = None,
     texts: Texts = Texts(),
-    log_path: Path | None = None,
 ) -> tuple[Surface, list[Answer]]:
     """Find things in the map of a run; what cannot be asked is refused before anything is done.
 
     Args:
-        run_path: folder of a finished run whose log had regions.
+        surfaces: of a finished run whose log had regions.
         names, image, texts: as for `understand`.
-        voxel_m: voxels of the mesh whose objects are asked.
+        voxel_m: voxels of the surface whose objects are asked.
         top_k: most things an answer has.
-        log_path: the run's log, or None where it is where the run found it; `image` needs it, and
-            without it objects are told apart by the map alone, and z is up.
 
     Returns:
         The surface, and the answers.
     """
-    run = RunFolder(run_path).require_finished()
-    content = load_map(run.map)
-    require_meaning(content, run_path)
-    assert content.semantics is not None
-    if image is None:
-        log = log_if_there(run, log_path)
-    else:
-        log = open_log_of(Manifest.read(run.manifest), log_path)
-    question = understand(names, content.semantics.description, image, texts, log)
+    run = surfaces.run
+    run.require_meaning()
+    assert run.map.description is not None
+    log = None if image is None else run.log
+    question = understand(names, run.map.description, image, texts, log)
     _require_some(top_k)
-    surface = surface_of(run, content, voxel_m, log)
+    surface = surfaces.at(voxel_m)
     return surface, query_surface(surface, question, top_k)
 
 
@@ -214,10 +205,7 @@ def ranked(
 ) -> list[SceneObject]:
     """The chosen (bool [N]) of N objects with new scores [N], best first."""
     order = [n for n in np.argsort(-scores, kind="stable").tolist() if chosen[n]]
-    return [
-        replace(objects[n], instance=replace(objects[n].instance, score=float(scores[n])))
-        for n in order
-    ]
+    return [replace(objects[n], score=float(scores[n])) for n in order]
 
 
 def _embed(
@@ -280,7 +268,7 @@ class _Asked:
             things = [
                 thing
                 for thing in things
-                if (color_names(colors[thing.instance.vertices], light) == wanted).mean() >= SHARE
+                if (color_names(colors[thing.vertices], light) == wanted).mean() >= SHARE
             ]
         if query.relation is None or query.other is None:
             return things, []

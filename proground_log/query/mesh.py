@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from io import BytesIO
 
 import numpy as np
-import torch
 import trimesh
 from skimage.measure import marching_cubes
 
-from proground_log.field.neural_field import NeuralField
-from proground_log.mapping.map_file import NeuralMap
+from proground_log.mapping.map import Map
 
 POINTS_AT_ONCE = 1 << 16
 
@@ -33,22 +31,20 @@ class Mesh:
     colors: np.ndarray
 
 
-@torch.no_grad()
-def extract_mesh(content: NeuralMap, voxel_m: float) -> Mesh:
+def extract_mesh(mapped: Map, voxel_m: float) -> Mesh:
     """Marching cubes over the signed distances, near measured surface only.
 
     Args:
-        content: the map.
+        mapped: the map.
         voxel_m: distance between the points at which the field is asked.
 
     Returns:
         The mesh; with no vertices where nothing was seen.
     """
-    field, observed = content.field, content.observed
-    lower_m, size_m = np.array(field.bounds.lower_m), field.bounds.size_m
+    lower_m, size_m = np.array(mapped.bounds.lower_m), mapped.bounds.size_m
     counts = np.maximum(np.ceil(size_m / voxel_m).astype(int) + 1, 2)
     axes = [lower_m[i] + np.arange(counts[i]) * voxel_m for i in range(3)]
-    near = observed.near_lattice(axes)
+    near = mapped.near_surface(axes)
     sdf = np.ones(counts, np.float32)
     # Some at a time, so that of all points at once only the numbers are kept, not the places; not
     # slab by slab, since the hash grid is read once for all that are asked together.
@@ -56,7 +52,7 @@ def extract_mesh(content: NeuralMap, voxel_m: float) -> Mesh:
     for start in range(0, len(asked), POINTS_AT_ONCE):
         some = np.unravel_index(asked[start : start + POINTS_AT_ONCE], near.shape)
         points_m = np.stack([axis_m[i] for axis_m, i in zip(axes, some, strict=True)], axis=-1)
-        sdf[some] = _ask(field, points_m, colors=False)
+        sdf[some] = mapped.signed_distance(points_m)
     try:
         vertices, faces, _, _ = marching_cubes(
             sdf,
@@ -70,7 +66,7 @@ def extract_mesh(content: NeuralMap, voxel_m: float) -> Mesh:
         nothing = np.zeros((0, 3), np.float32)
         return Mesh(nothing, np.zeros((0, 3), np.int32), nothing, np.zeros((0, 3), np.uint8))
     vertices_m = (vertices + lower_m).astype(np.float32)
-    colors = _ask(field, vertices_m, colors=True)
+    colors = mapped.color(vertices_m)
     shape = trimesh.Trimesh(vertices_m, faces, process=False)
     return Mesh(
         vertices_m=vertices_m,
@@ -89,15 +85,6 @@ def _whole_cubes(asked: np.ndarray) -> np.ndarray:
         np.moveaxis(earlier, axis, 0)[0] = False
         whole &= earlier
     return whole
-
-
-def _ask(field: NeuralField, points_m: np.ndarray, *, colors: bool) -> np.ndarray:
-    """SDF [N] in truncations, or colour [N, 3] in [0, 1], at points [N, 3]."""
-    answers = []
-    for part_m in torch.from_numpy(points_m.astype(np.float32)).split(POINTS_AT_ONCE):
-        points, _ = field.normalise(part_m.to(field.table.device))
-        answers.append((field(points)[1] if colors else field.sdf(points)).cpu())
-    return torch.cat(answers).numpy()
 
 
 def read_ply_vertices(content: bytes) -> np.ndarray:

@@ -8,10 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import expit, logit
 
-from proground_log.query.boxes import box_around, shared_volume_m3
+from proground_log.mapping.boxes import shared_volume_m3
+from proground_log.mapping.objects import SceneObject
 from proground_log.query.instances import GAP_VOXELS, find_instances
 from proground_log.query.mesh import Mesh
-from proground_log.query.objects import LEAST_RELEVANCE, SceneObject
+from proground_log.query.objects import LEAST_RELEVANCE, object_of
 from proground_log.query.settling import settle_labels
 
 LEAST_SPOT_M2 = 0.01
@@ -64,9 +65,7 @@ def objects_of_labels(
             least_vertices=int(np.ceil(LEAST_SPOT_M2 / voxel_m**2)),
         )
         sure = [
-            SceneObject(
-                prompt, thing, box_around(mesh.vertices_m[thing.vertices], up), thing.vertices
-            )
+            object_of(prompt, thing, mesh.vertices_m, up, witnesses=thing.vertices)
             for thing in instances
             if relevance[thing.vertices].mean() >= LEAST_RELEVANCE
         ]
@@ -84,7 +83,7 @@ def without_duplicates(objects: Sequence[SceneObject]) -> list[SceneObject]:
         Those that stay, in the order given.
     """
     kept: list[SceneObject] = []
-    for thing in sorted(objects, key=lambda one: -len(one.instance)):
+    for thing in sorted(objects, key=lambda one: -len(one.vertices)):
         share = [shared_volume_m3(thing.box, other.box) / thing.box.volume_m3 for other in kept]
         if max(share, default=0.0) < DUPLICATE_SHARE:
             kept.append(thing)

@@ -13,11 +13,11 @@ from scipy.sparse import coo_array, csr_array, diags_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from proground_log.mapping.objects import SceneObject
 from proground_log.query.association import associate
-from proground_log.query.boxes import box_around
 from proground_log.query.instances import GAP_VOXELS, instance_of
 from proground_log.query.mesh import Mesh
-from proground_log.query.objects import LEAST_RELEVANCE, SceneObject
+from proground_log.query.objects import LEAST_RELEVANCE, object_of
 from proground_log.query.sightings import LEAST_AREA_M2, Sightings
 
 LEAST_SHARE = 0.15
@@ -67,11 +67,16 @@ def objects_of_regions(
         if len(vertices) < least or score < LEAST_RELEVANCE or label >= len(prompts):
             continue
         instance = instance_of(mesh.vertices_m, vertices, share[vertices], score)
-        box = box_around(mesh.vertices_m[vertices], up)
-        witnesses = np.flatnonzero(groups == group)
-        thing = SceneObject(prompts[label], instance, box, witnesses, int(views[group]))
+        thing = object_of(
+            prompts[label],
+            instance,
+            mesh.vertices_m,
+            up,
+            witnesses=np.flatnonzero(groups == group),
+            views=int(views[group]),
+        )
         found.append((label, thing))
-    return [thing for _, thing in sorted(found, key=lambda one: (one[0], -one[1].instance.score))]
+    return [thing for _, thing in sorted(found, key=lambda one: (one[0], -one[1].score))]
 
 
 def _core(

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from proground_log.query.boxes import OrientedBox, gap_m, shared_plan_m2, shared_volume_m3
+from proground_log.mapping.boxes import OrientedBox, gap_m, shared_plan_m2, shared_volume_m3
 
 NEAR_M = 1.0
 """Things no farther apart than an arm and a step are near."""

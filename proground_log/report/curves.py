@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from proground_log.mapping.map_file import NeuralMap
 from proground_log.palette import NOTHING_COLOR
+from proground_log.perception.description import PerceptionDescription
 from proground_log.report.figures import (
     hex_color,
     line_chart,
@@ -36,8 +37,10 @@ def loss_contents(history: History) -> list[Content]:
     if not history.losses:
         return [Note("No step was done.")]
     charts = [
-        Picture(f"{name.replace('_', ' ')}, last {values[-1]:.3g}", loss_chart(values))
+        Picture(f"{name.replace('_', ' ')}, last {known[-1]:.3g}", loss_chart(known))
         for name, values in history.losses.items()
+        # A term may begin after the first step.
+        if len(known := values[~np.isnan(values)])
     ]
     return [
         Note(
@@ -99,49 +102,70 @@ def budget_contents(manifest: Manifest, history: History) -> list[Content]:
     return [Note(text[0].upper() + text[1:]), Charts(charts), legend, stages, totals]
 
 
-def memory_contents(history: History, content: NeuralMap) -> list[Content]:
-    """What the mapper remembered at the end, and how it came to that."""
-    buffer = history.buffer
-    if not buffer:
+def memory_contents(history: History, description: PerceptionDescription | None) -> list[Content]:
+    """What the mapper held at the end, group by group, and how it came to that.
+
+    Args:
+        history: of the run.
+        description: whose prompts have colours; None where the map knows no meaning.
+    """
+    colors: dict[str, str] = {}
+    if description is not None:
+        task = description.task
+        colors = dict(zip(task.all_prompts, map(hex_color, task.prompt_colors()), strict=True))
+    if not history.held:
         return [Note("No frame was mapped.")]
-    frames = np.arange(len(history.samples))
-    parts: list[Content] = [
-        Note(
-            f"Colour and geometry: {whole(buffer['samples'])} samples of at most "
-            f"{whole(buffer['capacity'])}, of {whole(buffer['keyframes'])} keyframes, in "
-            f"{whole(buffer['places'])} places; {buffer['size_bytes'] / 1e6:.1f} MB."
-        ),
-        Charts(
-            [
-                Picture(
-                    "samples", line_chart(frames, history.samples, "frame", cap=buffer["capacity"])
-                ),
-                Picture("keyframes", line_chart(frames, history.keyframes, "frame")),
-            ]
-        ),
-    ]
-    memory = history.semantics
-    if memory is None or content.semantics is None:
-        return [*parts, Note("No memory of meaning: the log has no regions.")]
-    most = max(*memory["labels"].values(), memory["background"], 1)
-    task = content.semantics.description.task
-    bars = [
-        Bar(
-            prompt,
-            whole(memory["labels"][prompt]),
-            memory["labels"][prompt] / most,
-            hex_color(color),
+    parts: list[Content] = []
+    for group, figures in history.held.items():
+        parts += _group_contents(group, figures, history.counts[group], colors)
+    if description is None:
+        parts.append(Note("No memory of meaning: the log has no regions."))
+    return parts
+
+
+def _group_contents(
+    group: str,
+    figures: Mapping[str, Any],
+    curves: Mapping[str, np.ndarray],
+    colors: Mapping[str, str],
+) -> list[Content]:
+    rows = [(_title(name), _figure(name, value)) for name, value in figures.items() if _is(value)]
+    parts: list[Content] = [Note(f"{group.capitalize()}:"), Figures(rows)]
+    capacity = figures.get("capacity")
+    charts = [
+        Picture(
+            _title(name),
+            line_chart(
+                np.arange(len(values)),
+                values,
+                "frame",
+                cap=capacity if name == "samples" else None,
+            ),
         )
-        for prompt, color in zip(task.all_prompts, task.prompt_colors(), strict=True)
+        for name, values in curves.items()
+        if values.min() < values.max()
     ]
-    nothing = Bar(
-        "background",
-        whole(memory["background"]),
-        memory["background"] / most,
-        hex_color(NOTHING_COLOR),
-    )
-    text = (
-        f"Meaning: {whole(memory['samples'])} rays of at most {whole(memory['capacity'])}, of "
-        f"{whole(memory['regions'])} regions; {memory['size_bytes'] / 1e6:.1f} MB. Rays by label:"
-    )
-    return [*parts, Note(text), Bars([*bars, nothing])]
+    if charts:
+        parts.append(Charts(charts))
+    for name, value in figures.items():
+        if isinstance(value, Mapping) and value:
+            most = max(*value.values(), 1)
+            bars = [
+                Bar(each, whole(number), number / most, colors.get(each, hex_color(NOTHING_COLOR)))
+                for each, number in value.items()
+            ]
+            parts += [Note(f"{group.capitalize()}, {_title(name)}:"), Bars(bars)]
+    return parts
+
+
+def _is(value: object) -> bool:
+    """Whether a figure is one number."""
+    return isinstance(value, int)
+
+
+def _title(name: str) -> str:
+    return name.removesuffix("_bytes").replace("_", " ")
+
+
+def _figure(name: str, value: int) -> str:
+    return f"{value / 1e6:.1f} MB" if name.endswith("_bytes") else whole(value)

@@ -11,7 +11,8 @@ from proground_log.errors import ProgroundError
 from proground_log.evaluation.judge import Evaluation, evaluate_run
 from proground_log.files import require_free, written_whole
 from proground_log.log.reader import LogReader
-from proground_log.mapping.map_file import NeuralMap, load_map
+from proground_log.mapping.map import Map
+from proground_log.query.surface import Surfaces
 from proground_log.report.curves import budget_contents, loss_contents, memory_contents
 from proground_log.report.page import (
     Bar,
@@ -28,13 +29,10 @@ from proground_log.report.page import (
 )
 from proground_log.report.things import thing_sections
 from proground_log.report.views import view_contents
-from proground_log.run.folder import RunFolder
-from proground_log.run.history import read_history
-from proground_log.run.manifest import Manifest, open_log_of
+from proground_log.run.manifest import Manifest
+from proground_log.run.opened import OpenedRun
 from proground_log.run.settings import flags
 
-VOXEL_M = 0.02
-"""Of the mesh that is judged, as `pglog evaluate` has it."""
 VERDICT = (
     ("psnr_db", "Colour (PSNR)", "dB", ".1f"),
     ("ssim", "Structure (SSIM)", "of 1", ".2f"),
@@ -74,14 +72,13 @@ def write_report(
 
 def page_of(run_path: Path, log_path: Path | None, progress: Callable[[int, int], None]) -> Page:
     """The page of a run; see `write_report`."""
-    run = RunFolder(run_path).require_finished()
-    manifest = Manifest.read(run.manifest)
-    reader = open_log_of(manifest, log_path)
-    content, history = load_map(run.map), read_history(run.ledger)
+    run = OpenedRun.finished(run_path, log_path)
+    manifest, reader, history = run.manifest, run.log, run.history
+    surfaces = Surfaces(run)
     try:
-        judged, why_not = evaluate_run(run_path, reader.path, VOXEL_M, progress), ""
+        judged, why_not = evaluate_run(surfaces, progress=progress), ""
     except ProgroundError as error:
-        judged, why_not = Evaluation({}, {}), f"Not judged: {error.what}; {error.todo}."
+        judged, why_not = Evaluation(), f"Not judged: {error.what}; {error.todo}."
     result = manifest.result or {}
     task = f"{result['task']} in " if "task" in result else ""
     return Page(
@@ -89,14 +86,14 @@ def page_of(run_path: Path, log_path: Path | None, progress: Callable[[int, int]
         facts=_facts(manifest, run.path, reader),
         tiles=_tiles(judged, result),
         sections=[
-            Section("Views", view_contents(manifest.config, content, reader)),
+            Section("Views", view_contents(run)),
             Section("Quality", _quality(judged, why_not)),
-            *thing_sections(run, content, reader),
+            *thing_sections(surfaces),
             Section("Losses", loss_contents(history)),
             Section("Simulated time", budget_contents(manifest, history)),
-            Section("Memory", memory_contents(history, content)),
-            Section("Map", _map(content)),
-            Section("How it was made", _made(manifest, run.path, reader, content)),
+            Section("Memory", memory_contents(history, run.map.description)),
+            Section("Map", _map(run.map)),
+            Section("How it was made", _made(run)),
         ],
     )
 
@@ -153,9 +150,9 @@ def _quality(judged: Evaluation, why_not: str) -> list[Content]:
     ]
 
 
-def _map(content: NeuralMap) -> list[Content]:
-    sizes = content.sizes_bytes()
-    most, size_m = max(sizes.values()), content.field.bounds.size_m
+def _map(mapped: Map) -> list[Content]:
+    sizes = mapped.sizes_bytes()
+    most, size_m = max(sizes.values()), mapped.bounds.size_m
     bars = [Bar(part, f"{size / 1e3:,.1f} kB", size / most) for part, size in sizes.items()]
     text = (
         f"{sum(sizes.values()) / 1e6:.2f} MB for {' x '.join(f'{side:.1f}' for side in size_m)} m."
@@ -163,8 +160,9 @@ def _map(content: NeuralMap) -> list[Content]:
     return [Note(text), Bars(bars)]
 
 
-def _made(manifest: Manifest, run: Path, reader: LogReader, content: NeuralMap) -> list[Content]:
-    log, name = shlex.quote(reader.path.name), shlex.quote(run.resolve().name)
+def _made(run: OpenedRun) -> list[Content]:
+    manifest = run.manifest
+    log, name = shlex.quote(run.log.path.name), shlex.quote(run.path.resolve().name)
     given = shlex.join(word for flag in flags(manifest.config) for word in flag)
     packages = ", ".join(f"{package} {found}" for package, found in manifest.packages.items())
     parts: list[Content] = [
@@ -177,6 +175,6 @@ def _made(manifest: Manifest, run: Path, reader: LogReader, content: NeuralMap) 
             ]
         )
     ]
-    if content.semantics is not None and reader.task is None:
+    if run.map.description is not None and run.log.task is None:
         parts.append(Note("It perceived as it went: give the same perception options again."))
     return [*parts, Note(f"The log's sha256 is {manifest.log_sha256}. {packages}.")]

@@ -6,35 +6,27 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from proground_log.errors import ProgroundError
-from proground_log.log.reader import LogReader
-from proground_log.mapping.map_file import NeuralMap
+from proground_log.frame import evenly
+from proground_log.mapping.objects import SceneObject
 from proground_log.navigation.floor_plan import Robot, draw_floor_plan
-from proground_log.query.objects import SceneObject
-from proground_log.query.surface import VOXEL_M, Surface, surface_of
+from proground_log.query.surface import OBJECTS_VOXEL_M, Surface, Surfaces
 from proground_log.report.figures import hex_color
 from proground_log.report.floor_chart import Outline, floor_chart
 from proground_log.report.page import Content, Note, Picture, Plan, Section, Table
-from proground_log.run.folder import RunFolder
 
 MOST_POSES = 300
 
 
-def thing_sections(run: RunFolder, content: NeuralMap, reader: LogReader) -> list[Section]:
-    """The sections Objects and Floor plan.
-
-    Args:
-        run: the run.
-        content: its map.
-        reader: its log: its camera says what is up, and its frames which object was seen.
-    """
+def thing_sections(surfaces: Surfaces) -> list[Section]:
+    """The sections Objects and Floor plan, of a run whose log is there."""
     try:
-        surface = surface_of(run, content, VOXEL_M, reader)
+        surface = surfaces.at(OBJECTS_VOXEL_M)
     except ProgroundError as error:
         nothing: list[Content] = [Note(f"None: {error.what}.")]
         return [Section("Objects", nothing), Section("Floor plan", nothing)]
     objects: list[SceneObject] = []
     listed: list[Content]
-    if content.semantics is None:
+    if surface.run.map.description is None:
         listed = [Note("None: the log has no regions, so no meaning was learnt.")]
     else:
         objects = surface.objects
@@ -43,7 +35,7 @@ def thing_sections(run: RunFolder, content: NeuralMap, reader: LogReader) -> lis
             listed.append(Note(f"Note: {surface.caveat}."))
     return [
         Section("Objects", listed),
-        Section("Floor plan", _plan(surface, objects, reader)),
+        Section("Floor plan", _plan(surface, objects)),
     ]
 
 
@@ -51,9 +43,9 @@ def _table(objects: list[SceneObject]) -> list[Content]:
     rows = [
         (
             f"{number} {thing.label}",
-            _triple(thing.instance.position_m, "  "),
+            _triple(thing.position_m, "  "),
             _triple(thing.box.extent_m, " x "),
-            f"{thing.instance.score:.2f}",
+            f"{thing.score:.2f}",
             "" if thing.views is None else str(thing.views),
         )
         for number, thing in enumerate(objects, start=1)
@@ -61,14 +53,15 @@ def _table(objects: list[SceneObject]) -> list[Content]:
     return [Table(("object", "position m", "length x width x height m", "score", "views"), rows)]
 
 
-def _plan(surface: Surface, objects: list[SceneObject], reader: LogReader) -> list[Content]:
+def _plan(surface: Surface, objects: list[SceneObject]) -> list[Content]:
     robot = Robot()
     mesh = surface.mesh
     try:
         plan = draw_floor_plan(mesh.vertices_m, mesh.faces, surface.up, robot)
     except ProgroundError as error:
         return [Note(f"None: {error.what}.")]
-    chosen = np.unique(np.linspace(0, len(reader) - 1, MOST_POSES).astype(int)).tolist()
+    reader = surface.run.log
+    chosen = evenly(len(reader), MOST_POSES)
     way_m = np.array([frame.world_from_camera[:3, 3] for frame in reader.frames(chosen)])
     outlines = []
     if objects:

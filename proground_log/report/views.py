@@ -5,36 +5,33 @@ from __future__ import annotations
 import numpy as np
 
 from proground_log.events import ViewRendered
-from proground_log.log.reader import LogReader
+from proground_log.frame import evenly
 from proground_log.log.registration import Registration
-from proground_log.mapping.map_file import NeuralMap
 from proground_log.palette import NOTHING_COLOR
 from proground_log.report.figures import depth_picture, hex_color, jpeg_uri, png_uri
 from proground_log.report.page import Content, Legend, Note, Picture, Views
-from proground_log.run.settings import ReplayConfig, TelemetryConfig
+from proground_log.run.opened import OpenedRun
+from proground_log.run.settings import TelemetryConfig
 from proground_log.telemetry.pictures import Pictures
 
 FRAMES_SHOWN, VIEW_WIDTH = 4, 240
 
 
-def view_contents(config: ReplayConfig, content: NeuralMap, reader: LogReader) -> list[Content]:
-    """What the map shows where the sensor saw it.
+def view_contents(run: OpenedRun) -> list[Content]:
+    """What the map of a run shows where the sensor saw it.
 
-    Args:
-        config: says which frames were kept from the mapper; those are shown, where there are any.
-        content: the map.
-        reader: its log.
+    The frames that were kept from the mapper are shown, where there are any.
     """
+    config, reader = run.manifest.config, run.log
     held_out = config.held_out(len(reader))
     frames = held_out or list(config.selection.of(len(reader))[: config.max_frames])
-    places = np.linspace(0, len(frames) - 1, FRAMES_SHOWN).round().astype(int)
-    chosen = [frames[place] for place in np.unique(places)]
-    description = content.semantics.description if content.semantics else None
+    chosen = [frames[place] for place in evenly(len(frames), FRAMES_SHOWN)]
+    description = run.map.description
     pictures = Pictures(
         TelemetryConfig(view_width=VIEW_WIDTH), reader.recording.bounds, description
     )
     register = Registration(reader.calibration)
-    views = [pictures.view(content, register(sensor)) for sensor in reader.frames(chosen)]
+    views = [pictures.view(run.map, register(sensor)) for sensor in reader.frames(chosen)]
     far_m = max(float(view.depth_m.max()) for view in views) or 1.0
     colors = np.array([NOTHING_COLOR], np.uint8)
     if description is not None:

@@ -8,13 +8,14 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from proground_log.errors import ProgroundError
 from proground_log.files import require_file, written_whole
+from proground_log.mapping.kinds import StageCost
 
 COST_MODEL_VERSION = 1
 DEFAULT_MODEL = "epyc-2-threads"
@@ -26,29 +27,13 @@ UNITS = {
     "step": "sample",
     "semantic_step": "sample",
 }
-"""What the units of each stage are: pixels of colour and depth together for decode, of depth alone
-for both kinds of insert; rays times samples for both kinds of step."""
+"""What the units of the known stages are: pixels of colour and depth together for decode, of depth
+alone for both kinds of insert; rays times samples for both kinds of step. Mappers of other packages
+have stages and units of their own."""
 MOST_NS = 1e15
 """No number of a cost model is larger: eleven days."""
 _SHIPPED = Path(__file__).parent / "cost_models"
 _REMEDY = "measure one with `pglog calibrate`, or see docs/budgets.md"
-
-
-@dataclass(frozen=True)
-class StageCost:
-    """What one stage takes.
-
-    Args:
-        fixed_ns: however little there is to do.
-        per_unit_ns: for each unit, beside that.
-        unit: what is counted, see `UNITS`.
-        residual_percent: how far the measurements lie off this line, median; 0 if written by hand.
-    """
-
-    fixed_ns: float
-    per_unit_ns: float
-    unit: str
-    residual_percent: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -111,6 +96,11 @@ class CostModel:
             )
         return dataclasses.replace(self, stages=stages)
 
+    def with_costs(self, costs: Mapping[str, StageCost], factor: float) -> CostModel:
+        """The model with costs, times a factor, of stages that it does not know."""
+        scaled = dataclasses.replace(self, stages=dict(costs)).scaled(factor).stages
+        return dataclasses.replace(self, stages={**scaled, **self.stages})
+
     def to_json(self) -> dict[str, Any]:
         """As JSON values; see docs/budgets.md."""
         return {"cost_model_version": COST_MODEL_VERSION, **dataclasses.asdict(self)}
@@ -130,16 +120,11 @@ class CostModel:
         _require_keys(content, names, names, "the cost model", where)
         hardware = _entries(content["hardware"], "hardware", where)
         stages = _entries(content["stages"], "stages", where)
-        for stage in stages:
-            if stage not in UNITS:
-                raise _fault(f"has a stage {stage!r}; there are {', '.join(UNITS)}", where)
         return cls(
             name=_text(content["name"], "name", where),
             hardware={key: _text(text, f"hardware {key}", where) for key, text in hardware.items()},
             measured=_text(content["measured"], "measured", where),
-            stages={
-                stage: _stage(stage, stages[stage], where) for stage in UNITS if stage in stages
-            },
+            stages={stage: _stage(stage, content, where) for stage, content in stages.items()},
         )
 
     @classmethod
@@ -179,14 +164,15 @@ def _stage(stage: str, content: object, where: object) -> StageCost:
     entries = _entries(content, f"stage {stage}", where)
     needed = {"fixed_ns", "per_unit_ns", "unit"}
     _require_keys(entries, needed, {*needed, "residual_percent"}, f"stage {stage}", where)
-    if entries["unit"] != UNITS[stage]:
-        raise _fault(f"counts {stage} by {entries['unit']!r}, not by {UNITS[stage]!r}", where)
+    unit = _text(entries["unit"], f"unit of {stage}", where)
+    if unit != UNITS.get(stage, unit):
+        raise _fault(f"counts {stage} by {unit!r}, not by {UNITS[stage]!r}", where)
     numbers = {
         key: _number(value, f"{key} of {stage}", where)
         for key, value in entries.items()
         if key != "unit"
     }
-    return StageCost(unit=UNITS[stage], **numbers)
+    return StageCost(unit=unit, **numbers)
 
 
 def _entries(value: object, what: str, where: object) -> dict[str, Any]:

@@ -73,6 +73,11 @@ class RunFolder:
         """Name for the telemetry from now on."""
         return self.path / f"telemetry.{len(self.telemetry_segments()):03}.rrd.partial"
 
+    def forget_progress(self) -> None:
+        """Remove what only an unfinished run needs."""
+        for file in (*self.telemetry_segments(), self.checkpoint):
+            file.unlink(missing_ok=True)
+
     @property
     def is_finished(self) -> bool:
         """Whether the replay came to its end."""

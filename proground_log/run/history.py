@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from proground_log.run.ledger import bits_float, read_ledger
+from proground_log.run.ledger import bits_float, float_bits, read_ledger
 
 NS_PER_S, NS_PER_MS = 1e9, 1e6
 
@@ -19,47 +20,60 @@ class History:
     """A run from its first line to its last.
 
     Args:
-        losses: by term, float64 [steps], in the order in which the terms first came.
+        losses: by term, float32 [S], in the order in which the terms first came; nan where a step
+            had no such term.
+        step, step_frame, step_ns: of each step its number, that of the newest frame, and its
+            simulated time, int64 [S].
         done_s: simulated time at which each mapped frame was done, float64 [F].
         spent_ms: by stage, what each mapped frame spent on it, float64 [F].
         lag_s: from each mapped frame's arrival to the end of its turn, float64 [F].
         waiting: frames that waited when each mapped frame was taken, int64 [F].
         steps: steps of each mapped frame, int64 [F].
         dropped_s: simulated time of each drop, float64 [D].
-        samples, keyframes: of the buffer after each frame, int64 [T].
-        buffer: the buffer's last figures by name.
-        semantics: those of the memory of meaning; None where no meaning was learnt.
+        counts: what the mapper held after each frame: by group, each figure that is a number,
+            int64 [T].
+        held: what it held at last, as `events.Counts`, groups that stayed empty left out.
     """
 
     losses: dict[str, np.ndarray]
+    step: np.ndarray
+    step_frame: np.ndarray
+    step_ns: np.ndarray
     done_s: np.ndarray
     spent_ms: dict[str, np.ndarray]
     lag_s: np.ndarray
     waiting: np.ndarray
     steps: np.ndarray
     dropped_s: np.ndarray
-    samples: np.ndarray
-    keyframes: np.ndarray
-    buffer: Mapping[str, Any]
-    semantics: Mapping[str, Any] | None
+    counts: Mapping[str, Mapping[str, np.ndarray]]
+    held: Mapping[str, Mapping[str, Any]]
 
 
 def read_history(ledger: Path) -> History:
     """Read a whole ledger; raises a ProgroundError at a line whose seal is broken."""
-    losses: dict[str, list[float]] = {}
-    entries: dict[str, list[dict[str, Any]]] = {"scheduled": [], "dropped": [], "done": []}
+    kinds = ("step", "scheduled", "dropped", "done")
+    entries: dict[str, list[dict[str, Any]]] = {kind: [] for kind in kinds}
     for entry in read_ledger(ledger):
-        if entry["event"] == "step":
-            for name, bits in entry["losses"].items():
-                losses.setdefault(name, []).append(bits_float(bits))
-        elif entry["event"] in entries:
+        if entry["event"] in entries:
             entries[entry["event"]].append(entry)
-    scheduled, done = entries["scheduled"], entries["done"]
+    steps, scheduled, done = entries["step"], entries["scheduled"], entries["done"]
+    terms = dict.fromkeys(name for step in steps for name in step["losses"])
+    nothing = float_bits(math.nan)
     ended_ns = np.array([entry["sim_time_ns"] for entry in scheduled], np.int64)
     arrived_ns = np.array([entry["arrived_ns"] for entry in scheduled], np.int64)
+    last = done[-1] if done else {}
+    held = {group: figures for group, figures in last.items() if isinstance(figures, dict)}
     stages = dict.fromkeys(stage for entry in scheduled for stage in entry["spans"])
     return History(
-        losses={name: np.array(values) for name, values in losses.items()},
+        losses={
+            name: np.array(
+                [bits_float(step["losses"].get(name, nothing)) for step in steps], np.float32
+            )
+            for name in terms
+        },
+        step=np.array([step["step"] for step in steps], np.int64),
+        step_frame=np.array([step["frame"] for step in steps], np.int64),
+        step_ns=np.array([step["sim_time_ns"] for step in steps], np.int64),
         done_s=ended_ns / NS_PER_S,
         spent_ms={
             stage: np.array([_length_ns(entry["spans"].get(stage)) for entry in scheduled])
@@ -70,10 +84,15 @@ def read_history(ledger: Path) -> History:
         waiting=np.array([entry["waiting"] for entry in scheduled], np.int64),
         steps=np.array([entry["steps"] for entry in scheduled], np.int64),
         dropped_s=np.array([entry["sim_time_ns"] for entry in entries["dropped"]]) / NS_PER_S,
-        samples=np.array([entry["buffer"]["samples"] for entry in done], np.int64),
-        keyframes=np.array([entry["buffer"]["keyframes"] for entry in done], np.int64),
-        buffer=done[-1]["buffer"] if done else {},
-        semantics=done[-1]["semantics"] if done else None,
+        counts={
+            group: {
+                name: np.array([entry[group][name] for entry in done], np.int64)
+                for name, value in figures.items()
+                if isinstance(value, int)
+            }
+            for group, figures in held.items()
+        },
+        held=held,
     )
 
 

@@ -6,7 +6,6 @@ import hashlib
 import json
 import struct
 from collections.abc import Iterator
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -105,8 +104,7 @@ def entry_of(event: Event) -> dict[str, Any] | None:
                 "frame": event.frame_index,
                 "steps": event.steps,
                 "sim_time_ns": event.sim_time_ns,
-                "buffer": asdict(event.buffer),
-                "semantics": None if event.semantics is None else asdict(event.semantics),
+                **event.counts,
             }
     return None
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import platform
+from collections.abc import Collection
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -13,14 +14,14 @@ import torch
 
 from proground_log.errors import ProgroundError
 from proground_log.files import file_sha256, require_file, written_whole
-from proground_log.locations import located
-from proground_log.log.reader import LogReader
 from proground_log.perception.description import PerceptionDescription, fingerprint
 from proground_log.run.cost_model import CostModel
-from proground_log.run.settings import ReplayConfig, from_dict
+from proground_log.run.settings import ReplayConfig, config_from_dict, walk
 from proground_log.version import __version__
 
-MANIFEST_VERSION = 2
+MANIFEST_VERSION = 3
+BEFORE_KINDS = 2
+"""Version of the manifests of 0.1.0, which knew one kind of mapper."""
 PACKAGES = (
     "mcap",
     "numba",
@@ -48,6 +49,7 @@ class Manifest:
         threads: threads computed on; does not reach a result.
         perception_sha256: fingerprint of task, texts and heads; None without perception.
         result: the summary, once the run is complete.
+        version: of the manifest, as it was read.
     """
 
     log_path: str
@@ -60,6 +62,7 @@ class Manifest:
     threads: int
     perception_sha256: str | None
     result: dict[str, object] | None = None
+    version: int = MANIFEST_VERSION
 
     @classmethod
     def of(
@@ -90,10 +93,11 @@ class Manifest:
     def write(self, path: Path) -> None:
         """Write it as JSON, whole or not at all."""
         content = {
-            "manifest_version": MANIFEST_VERSION,
+            "manifest_version": self.version,
             **dataclasses.asdict(self),
             "cost_model": self.cost_model.to_json(),
         }
+        del content["version"]
         with written_whole(path) as temporary:
             temporary.write_text(json.dumps(content, indent=2) + "\n")
 
@@ -104,15 +108,16 @@ class Manifest:
         try:
             content = json.loads(path.read_text())
             found = content.pop("manifest_version")
-            if found != MANIFEST_VERSION:
+            if found not in (MANIFEST_VERSION, BEFORE_KINDS):
                 raise ProgroundError(
                     f"has manifest version {found}, this pglog reads {MANIFEST_VERSION}",
                     where=path,
                     todo="run the replay again with this version of pglog",
                 )
             made_of = {
-                "config": from_dict(ReplayConfig, content["config"]),
+                "config": config_from_dict(content["config"]),
                 "cost_model": CostModel.from_json(content["cost_model"], where=path),
+                "version": found,
             }
             return cls(**{**content, **made_of})
         except (ValueError, KeyError, TypeError) as error:
@@ -120,25 +125,34 @@ class Manifest:
                 f"cannot be read as a manifest ({error!r})", where=path, todo="run the replay again"
             ) from error
 
+    def require_repeatable(self, where: object) -> None:
+        """Raise a ProgroundError unless this version of pglog makes what the manifest says."""
+        if self.version != MANIFEST_VERSION:
+            raise ProgroundError(
+                f"was made by pglog {self.code_version}, and can be read but not gone on with",
+                where=where,
+                todo=f"use pglog {self.code_version} for that, or replay its log again",
+            )
 
-def open_log_of(manifest: Manifest, log_path: Path | None) -> LogReader:
-    """The log that a run was made of: where the run found it, or where it has moved to.
+    def differences(self, other: Manifest, *, but: Collection[str] = ()) -> list[str]:
+        """What made another run that did not make this one, in words; nothing of it: the same map.
 
-    Raises:
-        ProgroundError: it is not there, or another log.
-    """
-    path = log_path or located(manifest.log_path)
-    if not path.is_file():
-        raise ProgroundError(
-            "the log that the run was made of is not there",
-            where=path,
-            todo="say with --log where it is now",
-        )
-    reader = LogReader(path)
-    if file_sha256(reader.path) != manifest.log_sha256:
-        raise ProgroundError(
-            "is not the log that the run was made of",
-            where=reader.path,
-            todo="give it with --log" if log_path is None else "check the path",
-        )
-    return reader
+        Args:
+            other: the other run's.
+            but: dotted paths of settings that do not count, or of parts of them.
+        """
+        parts = {
+            "log": (self.log_sha256, other.log_sha256),
+            "settings": (_counted(self.config, but), _counted(other.config, but)),
+            "cost model": (self.cost_model, other.cost_model),
+            "perception": (self.perception_sha256, other.perception_sha256),
+        }
+        return [name for name, (ours, theirs) in parts.items() if ours != theirs]
+
+
+def _counted(config: ReplayConfig, but: Collection[str]) -> dict[str, object]:
+    return {
+        path: value
+        for path, _, value in walk(config)
+        if not any(path == left_out or path.startswith(f"{left_out}.") for left_out in but)
+    }

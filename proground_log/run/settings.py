@@ -6,14 +6,18 @@ import dataclasses
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeVar, get_type_hints
 
 import tyro
 
 from proground_log.errors import ProgroundError
 from proground_log.frame import Selection
-from proground_log.mapping.config import MapperConfig
+from proground_log.mapping.kinds import NEURAL, mapper_kind
+from proground_log.mapping.neural.config import NeuralConfig
 from proground_log.run.cost_model import DEFAULT_MODEL
+
+if TYPE_CHECKING:
+    from proground_log.perception.description import PerceptionDescription
 
 Overrun = Literal["drop-oldest", "drop-newest", "wait"]
 Value = bool | int | float | str | None
@@ -111,8 +115,14 @@ class ReplayConfig:
     keep_checkpoints: bool = False
     """Keep all of them, for --from-checkpoint and `pglog bisect`."""
     simulation: Annotated[SimulationConfig, tyro.conf.arg(name="")] = SimulationConfig()
-    mapper: MapperConfig = MapperConfig()
+    kind: Annotated[str, tyro.conf.arg(name="mapper", metavar="KIND")] = NEURAL
+    """What makes the map; its own settings are --mapper.NAME."""
+    mapper: Any = NeuralConfig()
     telemetry: TelemetryConfig = TelemetryConfig()
+
+    def learns(self, perception: PerceptionDescription | None) -> bool:
+        """Whether meaning is learnt, where that is what regions mean."""
+        return perception is not None and mapper_kind(self.kind).learns(self.mapper)
 
     def held_out(self, count: int) -> list[int]:
         """Numbers of the frames that a replay of a log of `count` frames keeps from the mapper."""
@@ -153,8 +163,10 @@ def kinds_of(settings: Any) -> dict[str, Any]:
 
 def flags(config: ReplayConfig) -> list[tuple[str, ...]]:
     """The options of `pglog replay` that give these settings, those that are not the default."""
-    usual = {setting.path: setting.value for setting in walk(ReplayConfig())}
+    usual = {s.path: s.value for s in walk(with_kind(ReplayConfig(), config.kind))}
     given: list[tuple[str, ...]] = []
+    if config.kind != NEURAL:
+        given.append(("--mapper", config.kind))
     for path, _, value in walk(config):
         # The command line has the settings of these two parts without a prefix.
         name = path.removeprefix("selection.").removeprefix("simulation.").replace("_", "-")
@@ -167,6 +179,25 @@ def flags(config: ReplayConfig) -> list[tuple[str, ...]]:
         else:
             given.append((f"--{name}", str(value)))
     return given
+
+
+def config_from_dict(content: Mapping[str, Any]) -> ReplayConfig:
+    """The settings of a replay from what `dataclasses.asdict` made of them.
+
+    Raises:
+        ProgroundError: nobody here knows the kind of mapper.
+        TypeError: there is no such setting.
+    """
+    kind = content.get("kind", NEURAL)
+    mapper: Any = from_dict(mapper_kind(kind).settings, content["mapper"])
+    return from_dict(ReplayConfig, {**content, "kind": kind, "mapper": mapper})
+
+
+def with_kind(config: ReplayConfig, kind: str) -> ReplayConfig:
+    """The settings with another kind of mapper, which brings its own; see `mapper_kind`."""
+    if kind == config.kind:
+        return config
+    return dataclasses.replace(config, kind=kind, mapper=mapper_kind(kind).settings())
 
 
 def from_dict(kind: type[Part], content: Mapping[str, Any]) -> Part:
@@ -189,6 +220,8 @@ def _read(kind: Any, value: Any) -> Any:
 
 def with_setting(part: Any, path: str, value: Value) -> Any:
     """A settings dataclass with the setting at a dotted path replaced."""
+    if isinstance(part, ReplayConfig) and path == "kind":
+        return with_kind(part, str(value))
     first, _, rest = path.partition(".")
     inner = with_setting(getattr(part, first), rest, value) if rest else value
     return dataclasses.replace(part, **{first: inner})

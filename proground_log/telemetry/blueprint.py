@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.encodings import TextLogColumnKind
+
+from proground_log.events import MapperKnown
+from proground_log.telemetry.counts import drawn
 
 APPLICATION_ID = "proground-log"
 BACKGROUND = (24, 26, 31)
@@ -16,8 +20,8 @@ SEMANTIC_LOSSES = ("semantic", "scale", "uncertainty")
 """The terms of the loss that only a replay with a task has."""
 HEADS = ("label", "scale", "background", "uncertainty")
 """The scores of `SemanticScores`."""
-SEMANTIC_BUFFER = ("semantic_samples", "background", "semantic_inserted", "semantic_evicted")
-"""Figures of the memory of meaning that are of one order."""
+IN_AND_OUT = ("inserted", "evicted")
+"""Figures of a memory that are of one order, and of one plot."""
 LANES_SHOWN_S = 5
 COLOR_AND_DEPTH = {
     f"{which}/{what}": f"{title}: {which}"
@@ -38,22 +42,25 @@ MEANING = {
 }
 
 
-def replay_blueprint(*, with_semantics: bool = False) -> rrb.Blueprint:
+def replay_blueprint(mapper: MapperKnown) -> rrb.Blueprint:
     """The layout of a replay's recording: the map, the views beside the input, the curves.
 
     Args:
-        with_semantics: whether the replay has a task, so that there is meaning to show.
+        mapper: says what there is to show: losses, what is counted, meaning.
     """
-    if with_semantics:
-        pictures = rrb.Horizontal(_map_tabs(), _view_tabs(), column_shares=[5, 6])
-        plots = _loss_tabs(), _heads(), _semantic_buffer()
-        curves = rrb.Horizontal(*plots, _log(), column_shares=[3, 3, 4, 3])
-    else:
-        pictures = rrb.Horizontal(_map_view(), _view_grid(), column_shares=[5, 6])
-        curves = rrb.Horizontal(_losses(), _buffer(), _log(), column_shares=[4, 3, 4])
+    has_meaning = mapper.task is not None
+    plots = []
+    if mapper.has_steps:
+        plots.append(_loss_tabs() if has_meaning else _losses())
+    if has_meaning:
+        plots.append(_heads())
+    plots += [_group(name, figures) for name, figures in mapper.counts.items() if figures]
+    views = (_map_tabs(), _view_tabs()) if has_meaning else (_map_view(), _view_grid())
+    pictures = rrb.Horizontal(*views, column_shares=[5, 6])
+    curves = rrb.Horizontal(*plots, _log())
     replay = rrb.Vertical(pictures, curves, row_shares=[5, 2], name="Replay")
     documents = [rrb.TextDocumentView(origin="summary", name="Summary")]
-    if with_semantics:
+    if has_meaning:
         documents.append(rrb.TextDocumentView(origin="task", name="Task"))
     return rrb.Blueprint(
         rrb.Tabs(replay, _budget(), *documents, active_tab=0),
@@ -204,40 +211,25 @@ def _heads() -> rrb.TimeSeriesView:
     )
 
 
-def _buffer() -> rrb.Tabs:
+def _group(group: str, figures: Mapping[str, Any]) -> rrb.Tabs:
+    """A tab for each figure of a group; those by name come first: they explain label images."""
+    shown = drawn(figures)
+    names = sorted(shown, key=lambda name: not isinstance(shown[name], Mapping | Sequence))
+    plots = {name: [name] for name in names if name not in IN_AND_OUT}
+    if "samples" in shown:
+        plots["in and out"] = list(IN_AND_OUT)
     return rrb.Tabs(
-        _buffer_plot("Buffer", "samples", "inserted", "evicted"),
-        _buffer_plot("share", "share", y=(0.0, 1.0)),
-        _buffer_plot("places", "keyframes", "places", "water_level"),
-        _buffer_plot("bytes", "size_bytes"),
+        *(
+            rrb.TimeSeriesView(
+                origin=group,
+                contents=[f"/{group}/{name}" for name in entities],
+                name=f"{group}: {title.replace('_', ' ')}" if number == 0 else title,
+                axis_y=rrb.ScalarAxis(range=(0.0, 1.0)) if title == "share" else None,
+                plot_legend=rrb.Corner2D.LeftTop,
+            )
+            for number, (title, entities) in enumerate(plots.items())
+        ),
         active_tab=0,
-    )
-
-
-def _semantic_buffer() -> rrb.Tabs:
-    """Both buffers; the labels come first, since their legend explains the label images."""
-    return rrb.Tabs(
-        _buffer_plot("Labels", "labels"),
-        _buffer_plot("levels", "levels"),
-        _buffer_plot("meaning", *SEMANTIC_BUFFER),
-        _buffer_plot("regions", "regions"),
-        _buffer_plot("buffer", "samples", "inserted", "evicted"),
-        _buffer_plot("share", "share", "semantic_share", y=(0.0, 1.0)),
-        _buffer_plot("places", "keyframes", "places", "water_level"),
-        _buffer_plot("bytes", "size_bytes", "semantic_bytes"),
-        active_tab=0,
-    )
-
-
-def _buffer_plot(
-    name: str, *entities: str, y: tuple[float, float] | None = None
-) -> rrb.TimeSeriesView:
-    return rrb.TimeSeriesView(
-        origin="buffer",
-        contents=[f"/buffer/{entity}" for entity in entities],
-        name=name,
-        axis_y=rrb.ScalarAxis(range=y) if y else None,
-        plot_legend=rrb.Corner2D.LeftTop,
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 from scipy.spatial.transform import Rotation
 
-from proground_log.query.boxes import OrientedBox
+from proground_log.mapping.boxes import OrientedBox
 
 
 def boxes3d(

@@ -8,20 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import rerun as rr
-import rerun.blueprint as rrb
 from scipy.spatial.transform import Rotation
 
-from proground_log.events import MeshExtracted
-from proground_log.files import file_sha256
-from proground_log.log.upright import nearest_axis
+from proground_log.mapping.boxes import OrientedBox
 from proground_log.navigation.journey import Journey
-from proground_log.query.boxes import OrientedBox
-from proground_log.run.folder import RunFolder
-from proground_log.telemetry.blueprint import BACKGROUND
 from proground_log.telemetry.boxes import boxes3d
-from proground_log.telemetry.rerun_sink import recording_written
-from proground_log.telemetry.surface import heat_colors, surface
-from proground_log.telemetry.upright import VIEW_COORDINATES
+from proground_log.telemetry.scene import scene_blueprint, scene_recording, scene_view
+from proground_log.telemetry.surface import coloured, heat_colors
 
 TIMELINE = "drive"
 SPEED_M_S = 0.5
@@ -63,24 +56,42 @@ class PathDrawing:
     box: OrientedBox | None
 
 
-def write_path_recording(
-    path: Path, recording_id: str, mesh: MeshExtracted, drawing: PathDrawing
-) -> None:
+def draw_journey(path: Path, journey: Journey) -> None:
     """Write an .rrd file whose timeline `drive` is the time of a robot at SPEED_M_S.
 
     Args:
         path: the file, replaced if it is there.
-        recording_id: tells it from others in one viewer.
-        mesh: the map's surface.
-        drawing: the way.
+        journey: as `navigate_surface` gives it.
     """
-    with recording_written(path, recording_id) as recording:
-        recording.send_blueprint(_blueprint(drawing.name))
-        recording.log("world", VIEW_COORDINATES[nearest_axis(drawing.up)], static=True)
-        recording.log("world/map", surface(mesh, mesh.colors), static=True)
+    surface = journey.surface
+    drawing = _drawing_of(journey)
+    x_m, y_m = journey.route.corners_m[0]
+    with scene_recording(path, surface, f"{x_m:.3f}, {y_m:.3f} to {journey.name}") as recording:
+        view = scene_view(f"The way to {drawing.name}")
+        recording.send_blueprint(scene_blueprint(view, timeline=TIMELINE))
+        recording.log("world/map", coloured(surface.mesh, surface.mesh.colors), static=True)
         _log_floor(recording, drawing)
         _log_way(recording, drawing)
         _log_drive(recording, drawing)
+
+
+def _drawing_of(journey: Journey) -> PathDrawing:
+    plan, route, thing = journey.plan, journey.route, journey.thing
+    lines = [edge["cells"] for _, _, edge in journey.graph.edges(data=True)]
+    up = plan.ground.plan_from_world
+    return PathDrawing(
+        name=journey.name,
+        up=up[2],
+        points_m=plan.ground.world(route.points_m),
+        heading=up[:2].T @ (np.cos(route.heading_rad), np.sin(route.heading_rad)),
+        radius_m=journey.robot.radius_m,
+        height_m=journey.robot.height_m,
+        graph_m=[plan.ground.world(plan.centres(cells)) for cells in lines],
+        free_m=plan.ground.world(plan.centres(np.argwhere(plan.clearance_m > 0))),
+        free_clearance_m=plan.clearance_m[plan.clearance_m > 0],
+        cell_m=plan.cell_m,
+        box=None if thing is None else thing.box,
+    )
 
 
 def _log_floor(recording: rr.RecordingStream, drawing: PathDrawing) -> None:
@@ -142,51 +153,3 @@ def _log_drive(recording: rr.RecordingStream, drawing: PathDrawing) -> None:
         radii=0.02,
     )
     recording.log("world/robot/ahead", nose, static=True)
-
-
-def _blueprint(name: str) -> rrb.Blueprint:
-    view = rrb.Spatial3DView(
-        origin="world",
-        name=f"The way to {name}",
-        background=rrb.Background(color=BACKGROUND),
-        line_grid=rrb.LineGrid3D(visible=False),
-    )
-    return rrb.Blueprint(
-        view,
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE),
-    )
-
-
-def draw_journey(path: Path, run_path: Path, journey: Journey) -> None:
-    """Write a rerun recording of a way, in which the robot drives.
-
-    Args:
-        path: the .rrd file, replaced if it is there.
-        run_path: folder of the run.
-        journey: as `navigate_run` gives it.
-    """
-    plan, route, mesh = journey.plan, journey.route, journey.surface.mesh
-    lines = [edge["cells"] for _, _, edge in journey.graph.edges(data=True)]
-    thing = journey.thing
-    x_m, y_m = route.corners_m[0]
-    write_path_recording(
-        path,
-        f"{file_sha256(RunFolder(run_path).map)[:16]}: {x_m:.3f}, {y_m:.3f} to {journey.name}",
-        MeshExtracted(0, mesh.vertices_m, mesh.faces, mesh.normals, mesh.colors),
-        PathDrawing(
-            name=journey.name,
-            up=plan.ground.plan_from_world[2],
-            points_m=plan.ground.world(route.points_m),
-            heading=plan.ground.plan_from_world[:2].T
-            @ (np.cos(route.heading_rad), np.sin(route.heading_rad)),
-            radius_m=journey.robot.radius_m,
-            height_m=journey.robot.height_m,
-            graph_m=[plan.ground.world(plan.centres(cells)) for cells in lines],
-            free_m=plan.ground.world(plan.centres(np.argwhere(plan.clearance_m > 0))),
-            free_clearance_m=plan.clearance_m[plan.clearance_m > 0],
-            cell_m=plan.cell_m,
-            box=None if thing is None else thing.box,
-        ),
-    )

@@ -16,11 +16,11 @@ from proground_log.events import (
     FrameArrived,
     FrameDone,
     KeyframeInserted,
+    MapperKnown,
     MeshExtracted,
     RunFinished,
     StateDigested,
     StepDone,
-    TaskKnown,
     ViewRendered,
 )
 from proground_log.files import disk_errors, written_whole
@@ -30,9 +30,10 @@ from proground_log.telemetry import images
 from proground_log.telemetry.blueprint import APPLICATION_ID, SEMANTIC_LOSSES, replay_blueprint
 from proground_log.telemetry.budget import BudgetDrawing
 from proground_log.telemetry.columns import Moment, ScalarColumns
+from proground_log.telemetry.counts import CountsDrawing
 from proground_log.telemetry.documents import summary_document
 from proground_log.telemetry.semantics import SemanticDrawing
-from proground_log.telemetry.surface import surface
+from proground_log.telemetry.surface import coloured
 from proground_log.telemetry.upright import VIEW_COORDINATES
 
 CAMERA_IMAGE_WIDTH = 320
@@ -82,18 +83,12 @@ class TelemetrySink:
             self._file = path.open("wb")
         self._scalars = ScalarColumns(self._recording)
         self._styled: set[str] = set()
-        self._has_blueprint = False
         self._budget = BudgetDrawing(self._recording, self._scalars, dropped_before)
+        self._counts: CountsDrawing | None = None
         self._semantics: SemanticDrawing | None = None
 
     def on_event(self, event: Event) -> None:
-        """Draw one event; the first one tells whether meaning is to be shown at all."""
-        if isinstance(event, TaskKnown):
-            self._semantics = SemanticDrawing(self._recording, self._scalars, event)
-        if not self._has_blueprint:
-            blueprint = replay_blueprint(with_semantics=self._semantics is not None)
-            self._recording.send_blueprint(blueprint)
-            self._has_blueprint = True
+        """Draw one event; the first one tells what there will be to show."""
         self._draw(event)
         self._budget.on_event(event, self._now)
         if self._semantics is not None:
@@ -104,6 +99,8 @@ class TelemetrySink:
     def _draw(self, event: Event) -> None:
         """Draw what is there with and without meaning."""
         match event:
+            case MapperKnown():
+                self._on_mapper_known(event)
             case FrameArrived():
                 self._on_frame_arrived(event)
             case KeyframeInserted():
@@ -140,6 +137,14 @@ class TelemetrySink:
             self._file.write(self._bytes.read(flush=flush) or b"")
             if flush:
                 self._file.flush()
+
+    def _on_mapper_known(self, event: MapperKnown) -> None:
+        self._recording.send_blueprint(replay_blueprint(event))
+        self._counts = CountsDrawing(self._recording, self._scalars, event.counts, event.task)
+        if event.task is not None:
+            self._semantics = SemanticDrawing(
+                self._recording, self._scalars, event.task, has_steps=event.has_steps
+            )
 
     def _on_frame_arrived(self, event: FrameArrived) -> None:
         frame = event.frame
@@ -197,17 +202,8 @@ class TelemetrySink:
 
     def _on_frame_done(self, event: FrameDone) -> None:
         self._now = Moment(event.frame_index, self._now.step, event.sim_time_ns)
-        buffer = event.buffer
-        figures = {
-            "samples": buffer.samples,
-            "share": buffer.samples / buffer.capacity,
-            "keyframes": buffer.keyframes,
-            "places": buffer.places,
-            "water_level": buffer.water_level,
-            "size_bytes": buffer.size_bytes,
-        }
-        for name, value in figures.items():
-            self._scalars.add(f"buffer/{name}", self._now, value)
+        if self._counts is not None:
+            self._counts.add(event.counts, self._now)
 
     def _on_state_digested(self, event: StateDigested) -> None:
         lines = (f"{name}={event.digests[name]}\n" for name in sorted(event.digests))
@@ -226,7 +222,7 @@ class TelemetrySink:
         self._log("view/error/depth", depth_error)
 
     def _on_mesh(self, event: MeshExtracted) -> None:
-        self._log("world/map/color", surface(event, event.colors))
+        self._log("world/map/color", coloured(event, event.colors))
 
     def _say(self, text: str, *, level: str = "INFO") -> None:
         self._log("log", rr.TextLog(text, level=level))

@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import softmax
 
-from proground_log.mapping.semantic_map import Semantics
 from proground_log.perception.description import PerceptionDescription
-from proground_log.regions import LEVELS
 
 CONTRAST = 1.5
 """Standard deviations of the task's texts that the colours span, to either side."""
 LEAST_SPREAD = 0.1
 """Least standard deviation: a direction in which the texts hardly differ shows no noise."""
-
-_BLOCK = 1024
-"""Embeddings at once: they stay in the processor's cache."""
 
 
 class SemanticColors:
@@ -25,11 +19,10 @@ class SemanticColors:
     frame and a colour means the same in every view of a run and of another with the same task.
 
     Args:
-        description: the task's texts and the detector's heads.
+        description: has the task's texts.
     """
 
     def __init__(self, description: PerceptionDescription) -> None:
-        self._heads = description.heads
         texts = description.texts.astype(np.float64)
         self._mean = texts.mean(axis=0)
         # Fewer than four texts span fewer than three directions: unit vectors fill up.
@@ -42,17 +35,8 @@ class SemanticColors:
         spread = ((texts - self._mean) @ self._basis.T).std(axis=0)
         self._range = CONTRAST * np.maximum(spread, LEAST_SPREAD)
 
-    def __call__(self, semantics: Semantics) -> np.ndarray:
-        """RGB, uint8 [N, 3]."""
-        weights = softmax(semantics.scale_logits[:, :LEVELS].astype(np.float32), axis=1)
-        basis = self._basis.astype(np.float32)
-        place = np.empty((len(weights), 3))
-        for start in range(0, len(place), _BLOCK):
-            block = slice(start, start + _BLOCK)
-            aligned = weights[block] @ self._heads.scale
-            aligned *= semantics.embeddings[block]
-            aligned += weights[block] @ self._heads.shift
-            length = np.sqrt(np.einsum("nd,nd->n", aligned, aligned))
-            place[block] = aligned @ basis.T / np.maximum(length, 1e-8)[:, None]
+    def __call__(self, embeddings: np.ndarray) -> np.ndarray:
+        """RGB, uint8 [N, 3], of embeddings float32 [N, 512] in the texts' space, of length 1."""
+        place = (embeddings @ self._basis.T.astype(np.float32)).astype(np.float64)
         place -= self._basis @ self._mean
         return (255 * (0.5 + 0.5 * np.clip(place / self._range, -1, 1))).round().astype(np.uint8)

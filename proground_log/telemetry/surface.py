@@ -7,9 +7,10 @@ import numpy as np
 import rerun as rr
 
 from proground_log.events import MeshExtracted
+from proground_log.query.mesh import Mesh
 
 
-def surface(mesh: MeshExtracted, colors: np.ndarray) -> rr.Mesh3D:
+def coloured(mesh: Mesh | MeshExtracted, colors: np.ndarray) -> rr.Mesh3D:
     """The mesh in these colours, uint8 [V, 3] RGB."""
     return rr.Mesh3D(
         vertex_positions=mesh.vertices_m,

@@ -6,7 +6,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from proground_log.query.boxes import upright_from_world
+from proground_log.mapping.boxes import upright_from_world
 
 VIEW_COORDINATES = {
     (0, 1): rr.ViewCoordinates.RIGHT_HAND_X_UP,

@@ -15,11 +15,11 @@ from proground_log.evaluation.top_k import TopK
 from proground_log.field.config import SemanticSpace
 from proground_log.log.reader import LogReader
 from proground_log.log.registration import Registration
-from proground_log.mapping.config import SemanticsConfig
-from proground_log.mapping.map_file import NeuralMap
-from proground_log.mapping.online_mapper import OnlineMapper
-from proground_log.mapping.semantic_learner import SemanticLearner
-from proground_log.mapping.semantic_map import SemanticMap
+from proground_log.mapping.neural.config import SemanticsConfig
+from proground_log.mapping.neural.neural_map import NeuralMap
+from proground_log.mapping.neural.online_mapper import OnlineMapper
+from proground_log.mapping.neural.semantic_learner import SemanticLearner
+from proground_log.mapping.neural.semantic_map import SemanticMap
 from proground_log.perception.perceiver import Perceiver
 from proground_log.perception.task import Task
 from proground_log.perception.texts import TextSpace

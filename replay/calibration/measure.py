@@ -25,8 +25,9 @@ from scipy.optimize import nnls
 
 from proground_log.errors import ProgroundError
 from proground_log.log.reader import LogReader
+from proground_log.mapping.kinds import StageCost
 from proground_log.perception.perceiver import Perceiver
-from proground_log.run.cost_model import UNITS, CostModel, StageCost
+from proground_log.run.cost_model import UNITS, CostModel
 from replay.calibration.work import stage_works
 from replay.device import choose_device
 

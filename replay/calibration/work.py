@@ -21,9 +21,9 @@ from proground_log.log.reader import LogReader
 from proground_log.log.recording import Origin
 from proground_log.log.registration import Registration
 from proground_log.log.writer import open_writer
-from proground_log.mapping.config import MapperConfig, SamplingConfig, SemanticsConfig
-from proground_log.mapping.online_mapper import OnlineMapper
-from proground_log.mapping.semantic_learner import SemanticLearner
+from proground_log.mapping.neural.config import NeuralConfig, SamplingConfig, SemanticsConfig
+from proground_log.mapping.neural.online_mapper import OnlineMapper
+from proground_log.mapping.neural.semantic_learner import SemanticLearner
 from proground_log.perception.builtin_texts import BuiltinTexts
 from proground_log.perception.of_log import task_of_labels
 from proground_log.perception.perceiver import Perceiver
@@ -31,7 +31,7 @@ from proground_log.perception.simulated.perceiver import SimulatedPerception
 from proground_log.run.settings import SimulationConfig
 from proground_log.streams import stream
 
-WITHOUT_MEANING = replace(MapperConfig(), semantics=SemanticsConfig(enabled=False))
+WITHOUT_MEANING = replace(NeuralConfig(), semantics=SemanticsConfig(enabled=False))
 FRAMES = 8
 """Frames that the stages get in turn."""
 WIDTHS = (160, 320, 480, 640)
@@ -129,7 +129,7 @@ def _semantic_insert_work(reader: LogReader, sensors: Sequence[SensorFrame]) -> 
     """Remember the regions of frames of each size."""
     works = []
     for camera in _cameras(reader):
-        mapper, frames = _mapper_in_use(reader, sensors, camera, MapperConfig())
+        mapper, frames = _mapper_in_use(reader, sensors, camera, NeuralConfig())
         learn = partial(_learn, mapper, frames)
         works.append(Work(camera.width * camera.height, learn))
     return works
@@ -162,7 +162,7 @@ def _step_work(reader: LogReader, sensors: Sequence[SensorFrame]) -> list[Work]:
 
 def _semantic_step_work(reader: LogReader, sensors: Sequence[SensorFrame]) -> list[Work]:
     """Steps of a learner of each size, beside the field of one mapper."""
-    mapper, frames = _mapper_in_use(reader, sensors, reader.calibration.depth, MapperConfig())
+    mapper, frames = _mapper_in_use(reader, sensors, reader.calibration.depth, NeuralConfig())
     _optimise(mapper)
     assert mapper.semantics is not None
     description = mapper.semantics.description
@@ -170,7 +170,7 @@ def _semantic_step_work(reader: LogReader, sensors: Sequence[SensorFrame]) -> li
     works = []
     for rays in SEMANTIC_RAYS:
         semantics = SemanticsConfig(rays=rays * 2 // 3, background_rays=rays // 3)
-        config = replace(MapperConfig(), semantics=semantics)
+        config = replace(NeuralConfig(), semantics=semantics)
         learner = SemanticLearner(config, description, mapper.averaged, 0)
         for frame in seen:
             learner.insert(frame, np.flatnonzero(frame.depth_m > 0))
@@ -184,7 +184,7 @@ def _semantic_step(learner: SemanticLearner, iterations: Iterator[int]) -> None:
 
 
 def _mapper_in_use(
-    reader: LogReader, sensors: Sequence[SensorFrame], camera: Camera, config: MapperConfig
+    reader: LogReader, sensors: Sequence[SensorFrame], camera: Camera, config: NeuralConfig
 ) -> tuple[OnlineMapper, Iterator[Frame]]:
     """A mapper some frames into a replay, and the frames that it would get next."""
     task = task_of_labels(reader, BuiltinTexts().knows)

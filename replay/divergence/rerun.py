@@ -3,29 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
 
 from proground_log.errors import ProgroundError
 from proground_log.events import Sink
 from proground_log.files import disk_errors, require_file, require_free
-from proground_log.log.reader import LogReader
 from proground_log.perception.description import PerceptionDescription, fingerprint
 from proground_log.perception.of_log import perception_of
 from proground_log.perception.perceiver import Perceiver
 from proground_log.run.folder import Checkpoint, RunFolder
 from proground_log.run.ledger import read_ledger
-from proground_log.run.manifest import Manifest, open_log_of
+from proground_log.run.opened import OpenedRun
 from proground_log.run.settings import ReplayConfig
-from replay.device import choose_device
 from replay.divergence.divergence import Divergence
 from replay.divergence.ledger_check import LedgerCheck, LedgerDivergedError
-from replay.plan import CutPlan
-from replay.runner import ReplayStoppedError, Runner
-from replay.session import replay
+from replay.plan import Plan
+from replay.runner import ReplayStoppedError
+from replay.session import open_runner, replay
 
 Watchers = Callable[[int], Sequence[Sink]]
 
@@ -58,30 +54,6 @@ class Excerpt:
         )
 
 
-class OpenedRun(NamedTuple):
-    """A run that can be made again: its folder, what made it, and its log."""
-
-    folder: RunFolder
-    manifest: Manifest
-    reader: LogReader
-
-
-def open_run(manifest_path: Path, log: Path | None) -> OpenedRun:
-    """Find what a run was made of.
-
-    Args:
-        manifest_path: manifest.json of a run, or the run's folder.
-        log: the run's log, where it has moved.
-
-    Raises:
-        ProgroundError: there is no such run; its log is gone, or was changed.
-    """
-    is_folder = manifest_path.is_dir()
-    run = RunFolder(manifest_path if is_folder else manifest_path.parent)
-    manifest = Manifest.read(run.manifest if is_folder else manifest_path)
-    return OpenedRun(run, manifest, open_log_of(manifest, log))
-
-
 def rerun(
     manifest_path: Path,
     output: Path,
@@ -112,8 +84,8 @@ def rerun(
         ProgroundError: the log or the perception is not the run's.
         ReplayStoppedError: the user stopped it.
     """
-    run, manifest, reader = open_run(manifest_path, log)
-    _require_same_perception(manifest, reader, perceiver, run)
+    run = OpenedRun(manifest_path, log)
+    _require_same_perception(run, perceiver)
     if excerpt.keep_every is not None and excerpt.keep_every < 1:
         raise ProgroundError("is less than 1", where="--keep-every", todo="give 1 or more")
     if output.resolve() == run.path.resolve():
@@ -124,16 +96,16 @@ def rerun(
             raise ProgroundError(
                 "a check begins at the beginning", where=excerpt.start, todo="leave --start out"
             )
-        sinks.append(LedgerCheck(read_ledger(run.require_finished().ledger)))
+        sinks.append(LedgerCheck(read_ledger(run.folder.require_finished().ledger)))
     try:
         replay(
-            reader.path,
+            run.log.path,
             output,
-            excerpt.config(manifest.config),
+            excerpt.config(run.manifest.config),
             start=excerpt.start,
             overwrite=overwrite,
             perceiver=perceiver,
-            cost_model=manifest.cost_model,
+            cost_model=run.manifest.cost_model,
             watchers=lambda frames: [*watchers(frames), *sinks],
             until_frame=excerpt.until_frame,
         )
@@ -165,42 +137,32 @@ def state_after(
         start: a kept checkpoint before the frame; None: the beginning.
         log, perceiver: as for `rerun`.
     """
-    run, manifest, reader = open_run(manifest_path, log)
-    perception = _require_same_perception(manifest, reader, perceiver, run)
+    run = OpenedRun(manifest_path, log)
+    perception = _require_same_perception(run, perceiver)
     require_free(output, overwrite=False)
     if iteration < 0:
         raise ProgroundError("is less than 0", where="--until-step", todo="steps count from 0")
-    telemetry = replace(manifest.config.telemetry, enabled=False)
-    config = replace(manifest.config, telemetry=telemetry, keep_checkpoints=False)
-    plan = CutPlan(
-        reader,
-        config,
-        manifest.cost_model,
-        perceives=perception is not None and config.mapper.semantics.enabled,
-        frame=frame,
-        steps=iteration + 1,
-    )
+    telemetry = replace(run.manifest.config.telemetry, enabled=False)
+    config = replace(run.manifest.config, telemetry=telemetry, keep_checkpoints=False)
+    made_of = replace(run.manifest, config=config)
+    plan = Plan(run.log, config, made_of.cost_model, learns=config.learns(perception))
     with disk_errors(output), TemporaryDirectory(dir=output.parent) as folder:
         scratch = RunFolder(Path(folder))
         if start is not None:
             checkpoint = Checkpoint.read(require_file(start))
             replace(checkpoint, ledger_lines=0, telemetry_bytes=[]).write(scratch.checkpoint)
-        made_of = replace(manifest, config=config)
-        device = choose_device(config.device)
-        runner = Runner(
-            reader, scratch, made_of, plan, device, perception, perceiver, until_frame=frame
-        )
-        with suppress(ReplayStoppedError):
-            runner.run(lambda _: ())
-        scratch.checkpoint.replace(output)
+        opened = open_runner(run.log, scratch, made_of, plan, perception, perceiver)
+        with opened as (runner, _, _):
+            runner.checkpoint_after(frame, iteration).write(output)
 
 
 def _require_same_perception(
-    manifest: Manifest, reader: LogReader, perceiver: Perceiver | None, run: RunFolder
+    run: OpenedRun, perceiver: Perceiver | None
 ) -> PerceptionDescription | None:
     """What the regions mean; raises a ProgroundError where others were seen in the run."""
-    perception = perceiver.description if perceiver is not None else perception_of(reader)
-    if fingerprint(perception) != manifest.perception_sha256:
+    run.manifest.require_repeatable(run.path)
+    perception = perceiver.description if perceiver is not None else perception_of(run.log)
+    if fingerprint(perception) != run.manifest.perception_sha256:
         raise ProgroundError(
             "the perception is not the one that the run was made with",
             where=run.path,

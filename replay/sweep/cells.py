@@ -14,16 +14,18 @@ from typing import Any, Protocol
 
 from proground_log.errors import ProgroundError
 from proground_log.evaluation.judge import evaluate_run
-from proground_log.files import file_sha256, written_whole
+from proground_log.files import written_whole
 from proground_log.log.reader import LogReader
 from proground_log.log.topics import MESH_ATTACHMENT
-from proground_log.perception.description import PerceptionDescription, fingerprint
+from proground_log.perception.description import PerceptionDescription
 from proground_log.perception.map_texts import Texts
 from proground_log.perception.of_log import perception_of
 from proground_log.perception.perceiver import Perceiver
+from proground_log.query.surface import Surfaces
 from proground_log.run.cost_model import CostModel
 from proground_log.run.folder import RunFolder
 from proground_log.run.manifest import Manifest
+from proground_log.run.opened import OpenedRun
 from proground_log.run.settings import ReplayConfig
 from replay.device import choose_device
 from replay.plan import Plan
@@ -129,7 +131,8 @@ def jobs_left(
         raise ProgroundError("is a file", where=output, todo="name a folder for the sweep")
     perceiver = open_perceiver(reader)
     perception = perceiver.description if perceiver is not None else perception_of(reader)
-    log_sha256 = file_sha256(log_path)
+    usual = ReplayConfig()
+    of_log = Manifest.of(log_path, usual, cost_model_of(usual), "cpu", perception)
     jobs = []
     for cell in cells:
         cost_model = cost_model_of(cell.config)
@@ -138,7 +141,13 @@ def jobs_left(
         job = Job(log_path, folder, cell.config, cost_model, open_perceiver, judging)
         run = RunFolder(job.folder)
         if run.manifest.is_file():
-            _require_same(Manifest.read(run.manifest), job, log_sha256, fingerprint(perception))
+            wanted = replace(of_log, config=cell.config, cost_model=cost_model)
+            for what in Manifest.read(run.manifest).differences(wanted):
+                raise ProgroundError(
+                    f"was made with another {what}",
+                    where=job.folder,
+                    todo="name another folder for the sweep, or remove this one",
+                )
         if not (_is_replayed(run) and _is_judged(job)):
             jobs.append(job)
     return jobs
@@ -153,30 +162,13 @@ def _require_sound(
     choose_device(config.device)
     # Lock-step needs no time stamps, for which the whole log would be read, a cell at a time.
     lock_step = replace(config, simulation=replace(config.simulation, rate=0.0))
-    learns = perception is not None and config.mapper.semantics.enabled
-    plan = Plan(reader, lock_step, cost_model, perceives=learns)
+    plan = Plan(reader, lock_step, cost_model, learns=config.learns(perception))
     if not plan.held_out and reader.attachment(MESH_ATTACHMENT) is None:
         raise ProgroundError(
             "there is nothing to judge a map by: no frame is held out, the log has no true mesh",
             where=reader.path,
             todo="hold frames out with --hold-out-every",
         )
-
-
-def _require_same(manifest: Manifest, job: Job, log_sha256: str, perception: str | None) -> None:
-    pairs = {
-        "another log": (manifest.log_sha256, log_sha256),
-        "other settings": (manifest.config, job.config),
-        "another cost model": (manifest.cost_model, job.cost_model),
-        "another perception": (manifest.perception_sha256, perception),
-    }
-    for what, (found, wanted) in pairs.items():
-        if found != wanted:
-            raise ProgroundError(
-                f"was made with {what}",
-                where=job.folder,
-                todo="name another folder for the sweep, or remove this one",
-            )
 
 
 def _is_replayed(run: RunFolder) -> bool:
@@ -268,7 +260,8 @@ def _replay_and_judge(job: Job, is_stopping: Callable[[], bool]) -> None:
             raise ReplayStoppedError("stopped while it was judged")
 
     voxel_m, texts = job.judging.voxel_m, job.judging.texts
-    found = evaluate_run(job.folder, job.log_path, voxel_m, progress, texts=texts)
+    surfaces = Surfaces(OpenedRun.finished(job.folder, job.log_path))
+    found = evaluate_run(surfaces, voxel_m, progress, texts=texts)
     with written_whole(scores) as temporary:
         content = {"voxel_m": voxel_m, "scores": found.scores, "classes": found.classes}
         temporary.write_text(json.dumps(content, indent=2) + "\n")

@@ -72,18 +72,23 @@ def read_seeds(text: str) -> tuple[int, ...]:
     return _list(text, "--seed", _whole)
 
 
-def read_axes(texts: Sequence[str]) -> tuple[Axis, ...]:
-    """Settings from texts such as "mapper.sampling.rays=512,1024".
+def read_axes(texts: Sequence[str], config: ReplayConfig = ReplayConfig()) -> tuple[Axis, ...]:
+    """Settings from texts such as "mapper.sampling.rays=512,1024", or "mapper=neural,points".
+
+    Args:
+        texts: as on the command line.
+        config: whose settings there are: each kind of mapper has its own.
 
     Raises:
         ProgroundError: there is no such setting (the nearest is named), a value is not of its
             type, or something is there twice.
     """
-    kinds = kinds_of(ReplayConfig())
+    kinds = kinds_of(config)
     axes: list[Axis] = []
     for text in texts:
         given, equals, values = text.partition("=")
         key, where = given.strip().replace("-", "_"), f"--set {text}"
+        key = "kind" if key == "mapper" else key  # As the flag is called.
         if not equals:
             raise ProgroundError("has no values", where=where, todo="write --set KEY=VALUE,VALUE")
         if key in OWN_FLAGS:
@@ -120,7 +125,8 @@ def grid(
         settings = {axis.key: value for axis, value in zip(axes, values, strict=True)}
         simulation = replace(base.simulation, budget_ms=budget_ms)
         config = replace(base, seed=seed, simulation=simulation)
-        for key, value in settings.items():
+        # The kind comes first: it brings settings, which others may change.
+        for key, value in sorted(settings.items(), key=lambda item: item[0] != "kind"):
             config = with_setting(config, key, value)
         parts = [f"{key}_{quote(shown(value), safe='')}" for key, value in settings.items()]
         name = "_".join([f"budget_{shown(budget_ms)}ms", *parts, f"seed_{seed}"])

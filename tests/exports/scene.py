@@ -6,11 +6,11 @@ import numpy as np
 import trimesh
 
 from proground_log.exports.labels import SurfaceLabels, label_surface
+from proground_log.mapping.objects import SceneObject
 from proground_log.perception.task import Task
-from proground_log.query.boxes import box_around
 from proground_log.query.instances import Instance
 from proground_log.query.mesh import Mesh
-from proground_log.query.objects import SceneObject
+from proground_log.query.objects import object_of
 
 TASK = Task("tidy", ("cup", "café table"), ("ghost",), colors={"cup": "#102030"})
 UP = np.array([0.0, 0.0, 1.0])
@@ -43,7 +43,7 @@ def scene_objects(mesh: Mesh) -> list[SceneObject]:
         points_m = mesh.vertices_m[vertices].astype(np.float64)
         lower_m, upper_m = points_m.min(axis=0), points_m.max(axis=0)
         thing = Instance((lower_m + upper_m) / 2, lower_m, upper_m, score, vertices)
-        found.append(SceneObject(label, thing, box_around(points_m, UP), vertices))
+        found.append(object_of(label, thing, mesh.vertices_m, UP, witnesses=vertices))
     return found
 
 

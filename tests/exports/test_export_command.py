@@ -17,11 +17,12 @@ from proground_log.errors import ProgroundError
 from proground_log.exports.openlex3d import FILES
 from proground_log.field.config import FieldConfig
 from proground_log.log.reader import LogReader
-from proground_log.mapping.config import MapperConfig, SamplingConfig, SemanticsConfig
+from proground_log.mapping.map import BACKGROUND
+from proground_log.mapping.neural.config import NeuralConfig, SamplingConfig, SemanticsConfig
+from proground_log.mapping.neural.grounding import background_probability
 from proground_log.navigation.floor_plan import CELL_M
 from proground_log.perception.simulated.perceiver import SimulatedPerception
 from proground_log.perception.task import Task
-from proground_log.query.grounding import BACKGROUND, background_probability
 from proground_log.run.settings import ReplayConfig, TelemetryConfig
 from replay.session import replay
 
@@ -29,7 +30,7 @@ VOXEL_M = 0.08
 TASK = Task("living", ("sofa", "bed", "table"), ("rug",))
 CONFIG = ReplayConfig(
     steps=6,
-    mapper=MapperConfig(
+    mapper=NeuralConfig(
         field=FieldConfig(log2_rows=14, levels=8, voxel_m=0.05),
         sampling=SamplingConfig(rays=256, uniform=12, near_surface=7),
         semantics=SemanticsConfig(rays=96, background_rays=48, samples=5),
@@ -100,7 +101,7 @@ def test_objects_are_written_as_pglog_objects_lists_them(run: Path, tmp_path: Pa
     assert objects
     assert [row["label"] for row in content["objects"]] == [thing.label for thing in objects]
     for row, thing in zip(content["objects"], objects, strict=True):
-        np.testing.assert_allclose(row["position_m"], thing.instance.position_m, atol=6e-4)
+        np.testing.assert_allclose(row["position_m"], thing.position_m, atol=6e-4)
         assert row["views"] == thing.views
 
 
@@ -114,7 +115,7 @@ def test_labels_reach_mesh_and_points(run: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(mesh.vertices, opened.mesh(VOXEL_M).vertices_m)
     in_mesh = mesh.metadata["_ply_raw"]["vertex"]["data"]
     label = 1 + TASK.prompts.index(first.label)
-    assert (in_mesh["label"][first.instance.vertices] == label).all()
+    assert (in_mesh["label"][first.vertices] == label).all()
     points = trimesh.load(files["points"], process=False)
     distance_m, _ = cKDTree(points.vertices).query(mesh.vertices)
     assert distance_m.max() == 0

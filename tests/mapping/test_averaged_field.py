@@ -13,16 +13,16 @@ import torch
 from proground_log.field.config import FieldConfig
 from proground_log.log.reader import LogReader
 from proground_log.log.registration import Registration
-from proground_log.mapping.config import BufferConfig, MapperConfig, SamplingConfig
 from proground_log.mapping.map_file import load_map
-from proground_log.mapping.online_mapper import OnlineMapper
+from proground_log.mapping.neural.config import BufferConfig, NeuralConfig, SamplingConfig
+from proground_log.mapping.neural.online_mapper import OnlineMapper
 from proground_log.perception.of_log import perception_of
 from proground_log.run.settings import ReplayConfig, SimulationConfig, TelemetryConfig
 from replay.session import replay
 from tests.mapping.test_online_mapper import BOUNDS, wall_frame
 from tests.regions import write_perceived_log
 
-SMALL = MapperConfig(
+SMALL = NeuralConfig(
     field=FieldConfig(log2_rows=8, levels=4, voxel_m=0.1),
     sampling=SamplingConfig(rays=32, uniform=4, near_surface=3),
     buffer=BufferConfig(capacity=500, keyframe_samples=60),

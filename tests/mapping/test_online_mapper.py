@@ -12,15 +12,16 @@ from proground_log.bounds import Bounds
 from proground_log.camera import Camera
 from proground_log.field.config import FieldConfig
 from proground_log.frame import Frame
-from proground_log.mapping.config import BufferConfig, MapperConfig, SamplingConfig
-from proground_log.mapping.map_file import NeuralMap, load_map, save_map
-from proground_log.mapping.online_mapper import OnlineMapper
+from proground_log.mapping.map_file import load_map, save_map
+from proground_log.mapping.neural.config import BufferConfig, NeuralConfig, SamplingConfig
+from proground_log.mapping.neural.neural_map import NeuralMap
+from proground_log.mapping.neural.online_mapper import OnlineMapper
 from proground_log.query.mesh import extract_mesh
 
 CAMERA = Camera(40, 30, 30.0, 30.0, 20.0, 15.0)
 BOUNDS = Bounds((-2.0, -1.5, 0.0), (2.0, 1.5, 2.5))
 WALL_M = 2.0
-CONFIG = MapperConfig(
+CONFIG = NeuralConfig(
     field=FieldConfig(log2_rows=12, levels=8, voxel_m=0.05),
     sampling=SamplingConfig(rays=256, uniform=12, near_surface=7),
     buffer=BufferConfig(capacity=2000, keyframe_samples=300),
@@ -40,7 +41,7 @@ def wall_frame(index: int, shift_m: float = 0.0) -> Frame:
     return Frame(index, index * 10**8, CAMERA, pose, depth_m, color, valid, None)
 
 
-def mapped(config: MapperConfig = CONFIG, *, seed: int = 0, frames: int = 6) -> OnlineMapper:
+def mapped(config: NeuralConfig = CONFIG, *, seed: int = 0, frames: int = 6) -> OnlineMapper:
     mapper = OnlineMapper(config, BOUNDS, seed, "cpu")
     for index in range(frames):
         mapper.insert(wall_frame(index, 0.1 * index))
@@ -124,10 +125,9 @@ def test_beta_weighs_replayed_rays_against_current_ones() -> None:
             frame = replace(frame, color=255 - frame.color)
         mapper.insert(frame)
         mapper.insert(wall_frame(1))
-        result = mapper.step()
-        assert result is not None
-        assert result.rays_current == 64
-        assert result.rays_replayed == 192
+        rays, current, _ = mapper._draw_rays()
+        assert (current, len(rays)) == (64, 256)
+        (result,) = mapper.steps(1)
         return result.losses
 
     assert first_step_after_a_lie(0.0, True) == first_step_after_a_lie(0.0, False)
@@ -139,8 +139,8 @@ def test_keyframes_alone_are_remembered_and_the_buffer_stays_bounded() -> None:
     for i in range(30):
         frame, held = wall_frame(i, 0.02 * i), len(mapper.buffer)
         inserted = mapper.insert(frame, is_keyframe=i % 3 == 0)
-        assert (inserted is not None) == (i % 3 == 0)
-        if inserted is None:
+        assert len(inserted) == (i % 3 == 0)
+        if not inserted:
             assert len(mapper.buffer) == held
     assert len(mapper.buffer) <= 2000
 
@@ -148,14 +148,14 @@ def test_keyframes_alone_are_remembered_and_the_buffer_stays_bounded() -> None:
 def test_a_frame_without_depth_is_survived() -> None:
     mapper = OnlineMapper(CONFIG, BOUNDS, 0, "cpu")
     blind = replace(wall_frame(0), depth_m=np.zeros((30, 40), np.float32))
-    assert mapper.insert(blind) is None
-    assert mapper.step() is None
+    assert mapper.insert(blind) == ()
+    assert mapper.steps(3) == []
     mapper.insert(wall_frame(1))
     mapper.insert(wall_frame(2))
     mapper.insert(blind)
-    result = mapper.step()
-    assert result is not None
-    assert result.rays_current == 0
+    _, current, _ = mapper._draw_rays()
+    assert current == 0
+    assert len(mapper.steps(3)) == 3
 
 
 def test_every_term_of_the_total_counts(wall: OnlineMapper) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from proground_log.mapping.replay_buffer import RaySamples, ReplayBuffer
+from proground_log.mapping.neural.replay_buffer import RaySamples, ReplayBuffer
 from proground_log.streams import stream
 
 PLACE_M = 0.25

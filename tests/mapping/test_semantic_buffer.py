@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from proground_log.mapping import semantic_buffer
-from proground_log.mapping.semantic_buffer import RegionTable, SemanticBuffer, SemanticRays
+from proground_log.mapping.neural import semantic_buffer
+from proground_log.mapping.neural.semantic_buffer import RegionTable, SemanticBuffer, SemanticRays
 from proground_log.regions import EMBEDDING_WIDTH, Regions
 from proground_log.streams import stream
 

@@ -10,17 +10,20 @@ import numpy as np
 import pytest
 import torch
 
-from proground_log.field.config import FieldConfig
+from proground_log.field.config import FieldConfig, SemanticSpace
+from proground_log.field.view import EmptySpace, render_view
 from proground_log.frame import Frame
-from proground_log.mapping.config import (
+from proground_log.mapping.map_file import load_map, save_map
+from proground_log.mapping.neural.config import (
     BufferConfig,
-    MapperConfig,
+    NeuralConfig,
     SamplingConfig,
     SemanticsConfig,
 )
-from proground_log.mapping.map_file import NeuralMap, load_map, save_map
-from proground_log.mapping.online_mapper import OnlineMapper
-from proground_log.mapping.semantic_map import SemanticMap
+from proground_log.mapping.neural.neural_map import NeuralMap
+from proground_log.mapping.neural.observed import BLOCK_M
+from proground_log.mapping.neural.online_mapper import OnlineMapper
+from proground_log.mapping.neural.semantic_map import SemanticMap
 from proground_log.perception.description import PerceptionDescription
 from proground_log.perception.heads import TextHeads
 from proground_log.perception.task import Task, Thresholds
@@ -30,7 +33,7 @@ from proground_log.streams import stream
 from proground_log.telemetry.pictures import Pictures
 from tests.mapping.test_online_mapper import BOUNDS, CAMERA, WALL_M, wall_frame
 
-CONFIG = MapperConfig(
+CONFIG = NeuralConfig(
     field=FieldConfig(log2_rows=12, levels=8, voxel_m=0.05),
     sampling=SamplingConfig(rays=256, uniform=12, near_surface=7),
     buffer=BufferConfig(capacity=2000, keyframe_samples=300),
@@ -104,7 +107,7 @@ def four_regions(index: int = 0) -> Frame:
     return frame_with(index, regions_of([0, 1, 1, 0], levels, confidence, region_of), region_of)
 
 
-def new_mapper(config: MapperConfig = CONFIG, *, with_semantics: bool = True) -> OnlineMapper:
+def new_mapper(config: NeuralConfig = CONFIG, *, with_semantics: bool = True) -> OnlineMapper:
     return OnlineMapper(config, BOUNDS, 0, "cpu", perception() if with_semantics else None)
 
 
@@ -202,14 +205,12 @@ def test_pictures_show_what_was_learnt_beside_what_was_seen(content: NeuralMap) 
     sure = hit & (frame.region_of != -2)
     assert sure.mean() > 0.8
     assert content.semantics is not None
-    rendered = content.render(CAMERA, frame.world_from_camera)
-    assert rendered.features is not None
-    scale = content.semantics.decode(rendered.features).scale_logits.reshape(30, 40, 4)
-    np.testing.assert_array_equal(meaning.levels, np.where(hit, scale.argmax(axis=2), 3))
-    odds = np.exp(scale.astype(np.float64))
-    uncertainty = content.semantics.decode(rendered.features).uncertainty.reshape(30, 40)
-    background = odds[..., 3] / odds.sum(axis=2) + uncertainty >= 1
-    np.testing.assert_array_equal(meaning.labels == -1, background | ~hit)
+    rendered = content.render(CAMERA, frame.world_from_camera, with_meaning=True).meaning
+    assert rendered is not None
+    assert rendered.levels is not None
+    levels, background = (a.reshape(30, 40) for a in (rendered.levels, rendered.background))
+    np.testing.assert_array_equal(meaning.levels, np.where(hit, levels, 3))
+    np.testing.assert_array_equal(meaning.labels == -1, (background >= 0.5) | ~hit)
     both = sure & (meaning.labels >= 0) & (meaning.observed_labels >= 0)
     assert both.sum() > 200
     assert (meaning.labels == meaning.observed_labels)[both].mean() > 0.95
@@ -246,13 +247,19 @@ def test_a_view_without_surface_means_nothing(content: NeuralMap) -> None:
 def test_semantics_do_not_change_what_a_camera_sees(content: NeuralMap) -> None:
     pose = two_things(0, 0.25).world_from_camera
     plain = replace(content, semantics=None).render(CAMERA, pose)
-    view = content.render(CAMERA, pose)
+    view = content.render(CAMERA, pose, with_meaning=True)
     np.testing.assert_array_equal(view.color, plain.color)
     np.testing.assert_array_equal(view.depth_m, plain.depth_m)
-    assert plain.features is None
-    assert view.features is not None
+    assert plain.meaning is None
+    assert view.meaning is not None
+    empty = EmptySpace(
+        content.observed.distance_m(), np.array(BOUNDS.lower_m), BLOCK_M, torch.device("cpu")
+    )
+    space = SemanticSpace()
+    _, _, features = render_view(content.field, empty, CAMERA, pose, near_m=0.05, space=space)
+    assert features is not None
     # Each axis' bins add up to 1, and so do the weights along a ray that hits something.
-    mass = view.features.blob.reshape(-1, 3, 16).sum(dim=2)
+    mass = features.blob.reshape(-1, 3, 16).sum(dim=2)
     hit = torch.from_numpy(view.depth_m.reshape(-1) > 0)
     torch.testing.assert_close(mass, hit.float()[:, None].expand(-1, 3), atol=1e-4, rtol=0)
 
@@ -265,11 +272,11 @@ def test_a_saved_map_means_the_same(content: NeuralMap, tmp_path: Path) -> None:
     save_map(paths[2], loaded)
     assert len({path.read_bytes() for path in paths}) == 1
     points_m = np.array([[-0.5, 0.2, 2.0], [0.7, 0.5, 2.0], [0.3, -0.8, 2.0]])
-    ours, theirs = content.semantics_at(points_m), loaded.semantics_at(points_m)
+    ours, theirs = content.meaning(points_m), loaded.meaning(points_m)
     for name, array in vars(ours).items():
         np.testing.assert_allclose(vars(theirs)[name], array, atol=0.02)
-    assert loaded.semantics is not None
-    assert loaded.semantics.description.to_bytes() == perception().to_bytes()
+    assert loaded.description is not None
+    assert loaded.description.to_bytes() == perception().to_bytes()
     assert sum(content.sizes_bytes().values()) == pytest.approx(paths[0].stat().st_size, abs=3000)
 
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proground_log.mapping.water_level import below_water_level
+from proground_log.mapping.neural.water_level import below_water_level
 
 
 def staying_at(level: int, groups: list[int], ranks: list[int]) -> set[int]:

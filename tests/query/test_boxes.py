@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from proground_log.query.boxes import (
+from proground_log.mapping.boxes import (
     OrientedBox,
     box_around,
     gap_m,

@@ -16,21 +16,15 @@ from proground_log.bounds import Bounds
 from proground_log.field.config import FieldConfig, SemanticSpace
 from proground_log.field.neural_field import NeuralField
 from proground_log.field.semantic_heads import SemanticHeads
-from proground_log.mapping import map_file
-from proground_log.mapping.map_file import NeuralMap
-from proground_log.mapping.observed import ObservedSurface
-from proground_log.mapping.semantic_map import SemanticMap
+from proground_log.mapping.neural import neural_map
+from proground_log.mapping.neural.grounding import background_probability, vertex_logits
+from proground_log.mapping.neural.neural_map import NeuralMap
+from proground_log.mapping.neural.observed import ObservedSurface
+from proground_log.mapping.neural.semantic_map import SemanticMap
 from proground_log.perception.description import PerceptionDescription
 from proground_log.perception.heads import TextHeads
 from proground_log.perception.task import Task
-from proground_log.query import grounding
-from proground_log.query.grounding import (
-    ask_map,
-    background_probability,
-    relevance_to,
-    vertex_logits,
-    z_scores,
-)
+from proground_log.query.grounding import relevance_to, z_scores
 from proground_log.streams import stream
 
 
@@ -56,7 +50,7 @@ def unit_texts(count: int) -> np.ndarray:
     return (texts / np.linalg.norm(texts, axis=1, keepdims=True)).astype(np.float32)
 
 
-@pytest.mark.parametrize("count", [0, 1, grounding._BLOCK, 2 * grounding._BLOCK + 7])
+@pytest.mark.parametrize("count", [0, 1, neural_map.BLOCK, 2 * neural_map.BLOCK + 7])
 def test_logits_are_the_weighted_sum_of_what_each_head_says(count: int) -> None:
     embeddings, scale_logits = vertices(count)
     texts = unit_texts(5)
@@ -115,7 +109,7 @@ def test_a_map_is_asked_without_embeddings_as_its_embeddings_would_answer(
     space: SemanticSpace,
 ) -> None:
     content, texts = random_map(space), unit_texts(5)
-    points_m = points(grounding._BLOCK + 7)
+    points_m = points(neural_map.BLOCK + 7)
     semantics = content.semantics_at(points_m)
     probability = np.exp(semantics.scale_logits.astype(np.float64))[:, :3]
     probability /= probability.sum(axis=1, keepdims=True)
@@ -126,7 +120,7 @@ def test_a_map_is_asked_without_embeddings_as_its_embeddings_would_answer(
         ],
         axis=0,
     )
-    logits, background = ask_map(content, points_m, texts)
+    logits, background = content.ask(points_m, texts)
     assert logits.dtype == background.dtype == np.float32
     np.testing.assert_allclose(logits, expected, atol=1e-4)
     assert expected.std() > 1
@@ -141,14 +135,14 @@ def test_each_point_gets_its_own_answer_however_many_are_asked(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     content, texts = random_map(SemanticSpace()), unit_texts(3)
-    points_m = points(2 * grounding._BLOCK + 7)
-    whole = ask_map(content, points_m, texts)
+    points_m = points(2 * neural_map.BLOCK + 7)
+    whole = content.ask(points_m, texts)
     # Parts that are no whole blocks, the last one shorter.
-    monkeypatch.setattr(map_file, "POINTS_AT_ONCE", 900)
-    monkeypatch.setattr(grounding, "_BLOCK", 400)
-    for of_parts, of_whole in zip(ask_map(content, points_m, texts), whole, strict=True):
+    monkeypatch.setattr(neural_map, "POINTS_AT_ONCE", 900)
+    monkeypatch.setattr(neural_map, "BLOCK", 400)
+    for of_parts, of_whole in zip(content.ask(points_m, texts), whole, strict=True):
         np.testing.assert_allclose(of_parts, of_whole, atol=1e-5)
-    logits, background = ask_map(content, points_m[:0], texts)
+    logits, background = content.ask(points_m[:0], texts)
     assert logits.shape == (0, 3)
     assert background.shape == (0,)
 
@@ -157,7 +151,7 @@ def digests() -> list[str]:
     """Of logits from embeddings and from a map, and of the background."""
     texts = unit_texts(70)
     content = random_map(SemanticSpace())
-    answers = vertex_logits(*vertices(3000), heads(), texts), *ask_map(content, points(3000), texts)
+    answers = vertex_logits(*vertices(3000), heads(), texts), *content.ask(points(3000), texts)
     return [hashlib.sha256(answer.tobytes()).hexdigest() for answer in answers]
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from proground_log.query.boxes import box_around
-from proground_log.query.instances import Instance
+from proground_log.mapping.boxes import box_around
+from proground_log.mapping.objects import SceneObject
 from proground_log.query.mesh import Mesh
-from proground_log.query.objects import SceneObject, object_of_vertices
+from proground_log.query.objects import object_of_vertices
 from proground_log.query.objects_of_labels import (
     LEAST_SPOT_M2,
     objects_of_labels,
@@ -61,13 +61,13 @@ def test_objects_are_what_their_vertices_say() -> None:
     background = np.where(patch(slice(0, 30), slice(20, 30), (30, 30)), 0.99, 0.02)
     table, found_cup = objects_of_labels(mesh, logits, background, PROMPTS, UP, VOXEL_M)
     assert (table.label, found_cup.label) == PROMPTS
-    np.testing.assert_array_equal(found_cup.instance.vertices, np.flatnonzero(cup))
+    np.testing.assert_array_equal(found_cup.vertices, np.flatnonzero(cup))
     np.testing.assert_allclose(found_cup.box.centre_m, (0.48, 0.48, 0), atol=1e-3)
     np.testing.assert_allclose(found_cup.box.extent_m[:2], 4 * VOXEL_M, atol=1e-3)
-    assert (background[table.instance.vertices] < 0.5).all()
+    assert (background[table.vertices] < 0.5).all()
     # Nobody knows who saw them; what they are can be asked of their vertices.
     assert table.views is found_cup.views is None
-    np.testing.assert_array_equal(found_cup.witnesses, found_cup.instance.vertices)
+    np.testing.assert_array_equal(found_cup.witnesses, found_cup.vertices)
     numbers = object_of_vertices([table, found_cup], len(cup))
     np.testing.assert_array_equal(numbers == 1, cup)
     assert (numbers[background > 0.5] == -1).all()
@@ -95,7 +95,7 @@ def test_what_is_small_or_hardly_relevant_is_no_object() -> None:
     unlikely = np.tile(np.array([-5.0, -9.0]), (900, 1))
     likely = unlikely + 6
     (thing,) = objects_of_labels(mesh, likely, background, PROMPTS, UP, VOXEL_M)
-    assert len(thing.instance) == 100
+    assert len(thing.vertices) == 100
     assert objects_of_labels(mesh, unlikely, background, PROMPTS, UP, VOXEL_M) == []
 
 
@@ -103,8 +103,10 @@ def thing_at(corner_m: tuple[float, float, float], size_m: float, score: float) 
     axis = np.linspace(0, size_m, 8)
     points_m = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3) + corner_m
     count = int(1000 * size_m)
-    instance = Instance(points_m.mean(0), points_m[0], points_m[-1], score, np.arange(count))
-    return SceneObject("cup", instance, box_around(points_m, UP), instance.vertices)
+    vertices, middle_m = np.arange(count), points_m.mean(axis=0)
+    extent_m = points_m[0], points_m[-1]
+    box = box_around(points_m, UP)
+    return SceneObject("cup", middle_m, *extent_m, score, vertices, box, vertices)
 
 
 @pytest.mark.parametrize(("shift_m", "kept"), [(0.0, 1), (0.1, 1), (0.8, 2), (3.0, 2)])

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from proground_log.query.objects import LEAST_RELEVANCE, SceneObject, object_of_vertices
+from proground_log.mapping.objects import SceneObject
+from proground_log.query.objects import LEAST_RELEVANCE, object_of_vertices
 from proground_log.query.objects_of_regions import objects_of_regions
 from proground_log.query.sightings import LEAST_AREA_M2
 from proground_log.streams import stream
@@ -37,7 +38,7 @@ def objects_of(
 
 
 def vertices_of(objects: Sequence[SceneObject]) -> list[list[int]]:
-    return [thing.instance.vertices.tolist() for thing in objects]
+    return [thing.vertices.tolist() for thing in objects]
 
 
 def numbers(mask: np.ndarray) -> list[int]:
@@ -71,10 +72,10 @@ def test_an_object_says_where_it_is_how_sure_and_who_saw_it() -> None:
     (found,) = objects_of(looks, [np.array([chance, 0.2, 0.0]) for chance in chairs])
     assert (found.label, found.views) == ("table", 8)
     np.testing.assert_array_equal(found.witnesses, np.arange(9))
-    assert found.instance.score == pytest.approx(np.mean(chairs))
+    assert found.score == pytest.approx(np.mean(chairs))
     assert vertices_of([found]) == [numbers(thing)]
     middle_m = MESH.vertices_m[thing].mean(axis=0)
-    np.testing.assert_allclose(found.instance.position_m, middle_m, atol=1e-6)
+    np.testing.assert_allclose(found.position_m, middle_m, atol=1e-6)
     np.testing.assert_allclose(found.box.centre_m, middle_m, atol=1e-6)
 
 
@@ -137,7 +138,7 @@ def test_a_label_is_what_all_frames_say_together() -> None:
     thing = area(slice(20, 30))
     looks = [(ALL, [thing])] * 10
     (found,) = objects_of(looks, [np.array([0.5, 0.3, 0])] * 7 + [np.array([0.2, 0.6, 0])] * 3)
-    assert (found.label, found.instance.score) == ("table", pytest.approx(0.41))
+    assert (found.label, found.score) == ("table", pytest.approx(0.41))
 
 
 @pytest.mark.parametrize(
@@ -223,4 +224,4 @@ def test_the_order_of_regions_within_a_frame_changes_nothing() -> None:
     assert vertices_of(objects) == vertices_of(others)
     for thing, other in zip(objects, others, strict=True):
         assert (thing.label, thing.views) == (other.label, other.views)
-        assert thing.instance.score == pytest.approx(other.instance.score, abs=1e-12)
+        assert thing.score == pytest.approx(other.score, abs=1e-12)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from proground_log.query.boxes import OrientedBox
+from proground_log.mapping.boxes import OrientedBox
 from proground_log.query.relations import RELATIONS, WORDS
 from recorders.room import RoomSource
 

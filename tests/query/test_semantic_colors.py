@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from proground_log.mapping.semantic_map import Semantics
+from proground_log.mapping.neural.grounding import aligned
 from proground_log.perception.description import PerceptionDescription
 from proground_log.perception.heads import TextHeads
 from proground_log.perception.task import Task
@@ -29,24 +29,13 @@ def perception(count: int, order: list[int] | None = None) -> PerceptionDescript
     return PerceptionDescription(Task("things", prompts), texts[order], heads, {})
 
 
-def semantics(
-    description: PerceptionDescription, aligned: np.ndarray, levels: np.ndarray
-) -> Semantics:
-    """What a map would hold whose heads bring it to `aligned`, the level being sure."""
+def colors_of(description: PerceptionDescription, wanted: np.ndarray, level: int = 0) -> np.ndarray:
+    """Colours of what a map holds whose heads bring it to `wanted`, the level being sure."""
     heads = description.heads
-    embeddings = (aligned - heads.shift[levels]) / heads.scale[levels]
-    scale_logits = np.full((len(aligned), 4), -30, np.float32)
-    scale_logits[np.arange(len(aligned)), levels] = 30
-    return Semantics(
-        embeddings.astype(np.float32), scale_logits, np.zeros(len(aligned), np.float32)
-    )
-
-
-def colors_of(
-    description: PerceptionDescription, aligned: np.ndarray, level: int = 0
-) -> np.ndarray:
-    levels = np.full(len(aligned), level)
-    return SemanticColors(description)(semantics(description, aligned, levels)).astype(int)
+    embeddings = ((wanted - heads.shift[level]) / heads.scale[level]).astype(np.float32)
+    scale_logits = np.full((len(wanted), 4), -30, np.float32)
+    scale_logits[:, level] = 30
+    return SemanticColors(description)(aligned(embeddings, scale_logits, heads)).astype(int)
 
 
 def test_colors_are_the_principal_components_of_the_texts() -> None:
@@ -85,7 +74,7 @@ def test_between_levels_the_heads_are_mixed() -> None:
     scale, shift = (0.25 * each[0] + 0.75 * each[2] for each in (heads.scale, heads.shift))
     logits = np.tile(np.log([0.25, 1e-12, 0.75, 50]).astype(np.float32), (5, 1))
     embeddings = ((description.texts - shift) / scale).astype(np.float32)
-    found = SemanticColors(description)(Semantics(embeddings, logits, np.zeros(5, np.float32)))
+    found = SemanticColors(description)(aligned(embeddings, logits, heads))
     np.testing.assert_allclose(found.astype(int), colors_of(description, description.texts), atol=1)
 
 
@@ -115,6 +104,6 @@ def test_a_point_that_means_nothing_has_a_color() -> None:
     description = perception(3)
     nothing = colors_of(description, np.zeros((2, 512)))
     assert (nothing[0] == nothing[1]).all()
-    empty = Semantics(np.zeros((0, 512), np.float32), np.zeros((0, 4), np.float32), np.zeros(0))
+    empty = np.zeros((0, 512), np.float32)
     assert SemanticColors(description)(empty).shape == (0, 3)
     assert SemanticColors(description)(empty).dtype == np.uint8

@@ -277,9 +277,9 @@ def digest_of_objects() -> str:
     assert objects
     digest = hashlib.sha256(sightings.seen.indices.tobytes())
     for thing in objects:
-        parts = thing.instance.vertices, thing.instance.position_m, thing.box.corners_m
+        parts = thing.vertices, thing.position_m, thing.box.corners_m
         digest.update(b"".join(part.tobytes() for part in parts))
-        digest.update(f"{thing.label} {thing.instance.score!r} {thing.views}".encode())
+        digest.update(f"{thing.label} {thing.score!r} {thing.views}".encode())
     return digest.hexdigest()
 
 

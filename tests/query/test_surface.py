@@ -10,8 +10,8 @@ from skimage.measure import marching_cubes
 from proground_log.bounds import Bounds
 from proground_log.field.config import FieldConfig
 from proground_log.field.neural_field import NeuralField
-from proground_log.mapping.map_file import NeuralMap
-from proground_log.mapping.observed import ObservedSurface
+from proground_log.mapping.neural.neural_map import NeuralMap
+from proground_log.mapping.neural.observed import ObservedSurface
 from proground_log.query import mesh as surface
 from proground_log.query.mesh import extract_mesh
 from proground_log.streams import stream

@@ -18,7 +18,7 @@ import torch
 from proground_log.field.config import FieldConfig
 from proground_log.frame import Selection
 from proground_log.log.reader import LogReader
-from proground_log.mapping.config import BufferConfig, MapperConfig, SamplingConfig
+from proground_log.mapping.neural.config import BufferConfig, NeuralConfig, SamplingConfig
 from proground_log.perception.builtin_texts import BuiltinTexts
 from proground_log.perception.of_log import task_of_labels
 from proground_log.perception.simulated.perceiver import SimulatedPerception
@@ -42,7 +42,7 @@ SMALL = ReplayConfig(
     digest_every=4,
     checkpoint_every=4,
     simulation=SimulationConfig(cost=COST),
-    mapper=MapperConfig(
+    mapper=NeuralConfig(
         field=FieldConfig(log2_rows=12, levels=8, voxel_m=0.05),
         sampling=SamplingConfig(rays=128, uniform=10, near_surface=7),
         buffer=BufferConfig(capacity=3000, keyframe_samples=900),

@@ -202,7 +202,7 @@ def test_two_states_of_the_code(
     """The other code weights the newest rays a little more, from the fourth frame on."""
     code = checkout_with(
         tmp_path / "code",
-        "proground_log/mapping/online_mapper.py",
+        "proground_log/mapping/neural/online_mapper.py",
         "ray_weights[:current] = 1.0",
         "ray_weights[:current] = 1.0 + (self._frame.index > 2) / 8",
     )

@@ -133,7 +133,7 @@ def test_a_budget_without_a_step_is_warned_of_with_the_least_that_has_one(
 
     def plan_of(budget_ms: float) -> Plan:
         config = under(budget_ms=budget_ms, **settings)
-        return Plan(reader, config, cost_model_of(config), perceives=perceives)
+        return Plan(reader, config, cost_model_of(config), learns=perceives)
 
     warning = plan_of(least_ms - 1).warning()
     assert warning is not None
@@ -146,9 +146,7 @@ def test_a_budget_without_a_step_is_warned_of_with_the_least_that_has_one(
 
 def test_without_a_budget_there_is_nothing_to_warn_of(room_log: Path) -> None:
     config = replace(SMALL, steps=0)
-    assert (
-        Plan(LogReader(room_log), config, cost_model_of(config), perceives=False).warning() is None
-    )
+    assert Plan(LogReader(room_log), config, cost_model_of(config), learns=False).warning() is None
 
 
 def test_the_command_warns_before_and_after(room_log: Path, tmp_path: Path, pglog: Pglog) -> None:
@@ -372,7 +370,7 @@ def test_a_cost_model_without_a_stage_is_refused_where_it_is_needed(
     assert not (tmp_path / "run").exists()
     if stage in OF_PERCEPTION:
         model = CostModel.load(config.simulation.cost)
-        assert list(Plan(LogReader(room_log), config, model, perceives=False).turns())
+        assert list(Plan(LogReader(room_log), config, model, learns=False).turns())
 
 
 def test_a_manifest_whose_log_has_changed_is_refused(

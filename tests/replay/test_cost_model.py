@@ -13,14 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from proground_log.errors import ProgroundError
-from proground_log.run.cost_model import (
-    DEFAULT_MODEL,
-    MOST_NS,
-    UNITS,
-    CostModel,
-    StageCost,
-    shipped_models,
-)
+from proground_log.mapping.kinds import StageCost
+from proground_log.run.cost_model import DEFAULT_MODEL, MOST_NS, UNITS, CostModel, shipped_models
 
 numbers_ns = st.floats(0, 1e12)
 units = st.integers(0, 10**7)
@@ -142,7 +136,7 @@ BAD: list[tuple[Spoiler, str]] = [
     (lambda c: c.update(hardware="EPYC"), "hardware is str"),
     (lambda c: c["hardware"].update(cores=2), "hardware cores is 2"),
     (lambda c: c.update(stages=[]), "stages is list"),
-    (lambda c: c["stages"].update(render={}), "stage 'render'; there are decode, perceive"),
+    (lambda c: c["stages"].update(render={}), "stage render has no entry 'fixed_ns'"),
     (lambda c: c["stages"].update(step=7), "stage step is int"),
     (lambda c: c["stages"]["step"].pop("fixed_ns"), "stage step has no entry 'fixed_ns'"),
     (lambda c: c["stages"]["step"].update(sd=1), "stage step has an unknown entry 'sd'"),

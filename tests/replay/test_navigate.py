@@ -15,17 +15,17 @@ from scipy.spatial import cKDTree
 
 from pglog.navigate import navigate_command
 from proground_log.errors import ProgroundError
-from proground_log.exports.objects import surface_of_run
 from proground_log.log.reader import LogReader
 from proground_log.log.topics import MESH_ATTACHMENT
 from proground_log.navigation.floor_plan import Robot
-from proground_log.navigation.journey import Journey, navigate_run, navigate_surface
+from proground_log.navigation.journey import Journey, navigate_surface
 from proground_log.perception.perceive import perceive
 from proground_log.perception.simulated.perceiver import SimulatedPerception
 from proground_log.telemetry.path_recording import draw_journey
 from recorders.room import RoomSource
 from replay.session import replay
 from tests.replay.test_query import CONFIG, TASK, without_log
+from tests.runs import navigate_run, surface_of_run
 
 VOXEL_M = 0.06
 ROBOT = Robot()
@@ -122,11 +122,11 @@ def test_the_command_prints_json_a_table_a_plan_and_a_recording(
 
 
 def test_in_the_recording_the_robot_drives_from_start_to_goal(
-    run: Path, to_bed: Journey, tmp_path: Path
+    to_bed: Journey, tmp_path: Path
 ) -> None:
     contents = []
     for name in ("a.rrd", "b.rrd"):
-        draw_journey(tmp_path / name, run, to_bed)
+        draw_journey(tmp_path / name, to_bed)
         contents.append(positions(tmp_path / name))
     places_m, seconds = contents[0]
     np.testing.assert_array_equal(places_m, contents[1][0])

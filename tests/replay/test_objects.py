@@ -16,21 +16,22 @@ from proground_log.errors import ProgroundError
 from proground_log.evaluation.instance_scores import InstanceCounts, InstanceScores
 from proground_log.evaluation.judge import evaluate_run
 from proground_log.evaluation.objects import ObjectScores, object_table
-from proground_log.exports.objects import object_rows, surface_of_run
+from proground_log.exports.objects import object_rows
 from proground_log.log.reader import LogReader
 from proground_log.log.registration import Registration
-from proground_log.mapping.map_file import load_map
+from proground_log.mapping.objects import SceneObject
 from proground_log.perception.perceive import perceive
 from proground_log.perception.simulated.perceiver import SimulatedPerception
-from proground_log.query.objects import SceneObject
 from proground_log.query.objects_of_labels import objects_of_labels
 from proground_log.query.sightings import find_sightings
-from proground_log.query.surface import surface_of
+from proground_log.query.surface import Surfaces
 from proground_log.run.folder import RunFolder
 from proground_log.run.manifest import Manifest
+from proground_log.run.opened import OpenedRun
 from recorders.room import RoomSource
 from replay.session import replay
 from tests.replay.test_query import CONFIG, TASK, without_log
+from tests.runs import surface_of_run
 
 VOXEL_M = 0.06
 UP = np.array([0.0, 0.0, 1.0])
@@ -77,12 +78,12 @@ def test_large_objects_are_where_and_as_large_as_they_are(objects: list[SceneObj
         assert thing.views is not None
         assert 0 <= thing.views <= 12
     assert {thing.label for thing in objects} <= set(TASK.prompts)
-    largest = max(objects, key=lambda thing: len(thing.instance))
+    largest = max(objects, key=lambda thing: len(thing.vertices))
     assert largest.views > 1  # type: ignore[operator]
 
 
 def test_they_come_in_the_order_of_prompts_and_scores(objects: list[SceneObject]) -> None:
-    keys = [(TASK.prompts.index(thing.label), -thing.instance.score) for thing in objects]
+    keys = [(TASK.prompts.index(thing.label), -thing.score) for thing in objects]
     assert keys == sorted(keys)
 
 
@@ -90,14 +91,14 @@ def test_without_its_log_a_run_lists_what_its_map_alone_tells_apart(
     run: Path, tmp_path: Path
 ) -> None:
     elsewhere = without_log(run, tmp_path)
-    surface = surface_of(RunFolder(run), load_map(RunFolder(run).map), VOXEL_M, None)
+    surface = surface_of_run(run, VOXEL_M)
     logits, background = surface.ask(surface.description.texts)
     of_map = objects_of_labels(surface.mesh, logits, background, TASK.prompts, UP, VOXEL_M)
     listed = surface_of_run(elsewhere, VOXEL_M).objects
     assert [thing.views for thing in listed] == [None] * len(of_map)
     for mine, other in zip(listed, of_map, strict=True):
         assert mine.label == other.label
-        np.testing.assert_array_equal(mine.instance.vertices, other.instance.vertices)
+        np.testing.assert_array_equal(mine.vertices, other.vertices)
         np.testing.assert_array_equal(mine.box.centre_m, other.box.centre_m)
     for class_name in ("sofa", "bed"):
         assert max(overlap(t, class_name) for t in listed if t.label == class_name) > 0.3
@@ -141,8 +142,7 @@ def test_only_frames_that_the_run_learnt_from_are_asked(run: Path, tmp_path: Pat
     log = LogReader(run.with_name("seen.mcap"))
     few = replace(CONFIG, steps=3, max_frames=6, hold_out_every=3)
     replay(run.with_name("seen.mcap"), tmp_path / "run", few)
-    folder = RunFolder(tmp_path / "run")
-    surface = surface_of(folder, load_map(folder.map), VOXEL_M, log)
+    surface = surface_of_run(tmp_path / "run", VOXEL_M)
     assert surface.sightings is not None
     frames = map(Registration(log.calibration), log.frames([0, 1, 3, 4]))
     expected = find_sightings(surface.mesh.vertices_m, frames, VOXEL_M)
@@ -163,7 +163,7 @@ def test_table_json_and_csv_say_the_same(
     for number, (entry, row, thing) in enumerate(zip(printed, rows, objects, strict=True), 1):
         assert (entry["number"], entry["label"]) == (number, thing.label)
         assert (int(row["number"]), row["label"]) == (number, thing.label)
-        assert entry["vertices"] == int(row["vertices"]) == len(thing.instance)
+        assert entry["vertices"] == int(row["vertices"]) == len(thing.vertices)
         assert entry["views"] == int(row["views"]) == thing.views
         np.testing.assert_allclose(entry["box"]["extent_m"], thing.box.extent_m, atol=1e-3)
         assert float(row["box_centre_m_z"]) == entry["box"]["centre_m"][2]
@@ -175,7 +175,7 @@ def test_table_json_and_csv_say_the_same(
 
 
 def test_evaluate_judges_them_by_the_log_s_own_mesh(run: Path) -> None:
-    result = evaluate_run(run, None, VOXEL_M, lambda *_: None)
+    result = evaluate_run(Surfaces(OpenedRun.finished(run)), VOXEL_M)
     truth = [o for o in RoomSource(frames=1).objects if o.class_name in TASK.prompts]
     # The mesh has what some view saw.
     assert 0 < result.scores["true_objects"] <= len(truth)

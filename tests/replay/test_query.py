@@ -18,23 +18,25 @@ from pglog.query import query_command
 from proground_log.errors import ProgroundError
 from proground_log.field.config import FieldConfig
 from proground_log.log.reader import LogReader
-from proground_log.mapping.config import (
+from proground_log.mapping.map_file import load_map
+from proground_log.mapping.neural.config import (
     BufferConfig,
-    MapperConfig,
+    NeuralConfig,
     SamplingConfig,
     SemanticsConfig,
 )
-from proground_log.mapping.map_file import load_map
+from proground_log.mapping.neural.grounding import vertex_logits
+from proground_log.mapping.neural.neural_map import NeuralMap
+from proground_log.mapping.objects import SceneObject
 from proground_log.perception.builtin_texts import COMMON_SHARE, BuiltinTexts, common_direction
 from proground_log.perception.map_texts import Texts
 from proground_log.perception.onnx.image_encoder import SIDE, pixel_values
 from proground_log.perception.perceive import perceive
 from proground_log.perception.simulated.perceiver import SimulatedPerception
 from proground_log.perception.task import Task
-from proground_log.query.ask import NOT_MARGIN, Answer, query_run
-from proground_log.query.grounding import MARGIN, vertex_logits
+from proground_log.query.ask import NOT_MARGIN, Answer
+from proground_log.query.grounding import MARGIN
 from proground_log.query.image_query import ImageQuery, background_crops
-from proground_log.query.objects import SceneObject
 from proground_log.query.sightings import LEAST_AREA_M2
 from proground_log.query.surface import Surface
 from proground_log.regions import EMBEDDING_WIDTH
@@ -44,13 +46,14 @@ from proground_log.run.settings import ReplayConfig, TelemetryConfig
 from proground_log.streams import stream
 from recorders.room import RoomSource
 from replay.session import replay
+from tests.runs import query_run
 from tests.telemetry.telemetry_cells import rows_of
 
 VOXEL_M = 0.06
 TASK = Task("living", ("sofa", "bed", "table", "chair", "cabinet"), ("rug", "picture"))
 CONFIG = ReplayConfig(
     steps=15,
-    mapper=MapperConfig(
+    mapper=NeuralConfig(
         field=FieldConfig(log2_rows=14, levels=8, voxel_m=0.05),
         sampling=SamplingConfig(rays=256, uniform=12, near_surface=7),
         semantics=SemanticsConfig(rays=96, background_rays=48, samples=5),
@@ -94,7 +97,7 @@ def answered(run: Path) -> tuple[Surface, dict[str, Answer]]:
 
 
 def size(thing: SceneObject) -> int:
-    return len(thing.instance)
+    return len(thing.vertices)
 
 
 def answer_of(run: Path, text: str) -> Answer:
@@ -130,16 +133,16 @@ def test_large_things_are_found_where_they_are(
     surface, answers = answered
     answer = answers[query]
     best = answer.things[0]
-    assert distance_m(best.instance.position_m, class_name) < 0.3
+    assert distance_m(best.position_m, class_name) < 0.3
     largest = max(answer.things, key=size)
-    assert distance_m(largest.instance.position_m, class_name) < 0.3
+    assert distance_m(largest.position_m, class_name) < 0.3
     assert np.linalg.norm(largest.box.extent_m) > 0.5
     for thing in answer.things:
-        assert len(thing.instance) >= LEAST_AREA_M2 / VOXEL_M**2
-        assert thing.instance.score >= answer.measure.threshold
-        points_m = surface.mesh.vertices_m[thing.instance.vertices]
-        assert (points_m.min(axis=0) <= thing.instance.position_m).all()
-    scores = [thing.instance.score for thing in answer.things]
+        assert len(thing.vertices) >= LEAST_AREA_M2 / VOXEL_M**2
+        assert thing.score >= answer.measure.threshold
+        points_m = surface.mesh.vertices_m[thing.vertices]
+        assert (points_m.min(axis=0) <= thing.position_m).all()
+    scores = [thing.score for thing in answer.things]
     assert scores == sorted(scores, reverse=True)
 
 
@@ -149,21 +152,21 @@ def test_things_are_the_objects_of_the_map_scored_by_what_the_detector_saw(
     """Against the definition, region by region and level by level."""
     surface, answers = answered
     assert surface.sightings is not None
-    listed = {int(thing.instance.vertices[0]): thing for thing in surface.objects}
+    listed = {int(thing.vertices[0]): thing for thing in surface.objects}
     for name in ("couch", "bed"):
         (text,) = BuiltinTexts().embed([name])
         assert answers[name].things
         for thing in answers[name].things:
-            known = listed[int(thing.instance.vertices[0])]
+            known = listed[int(thing.vertices[0])]
             assert (known.label, known.views, known.box) == (thing.label, thing.views, thing.box)
-            np.testing.assert_array_equal(known.instance.vertices, thing.instance.vertices)
+            np.testing.assert_array_equal(known.vertices, thing.vertices)
             fits = []
             for witness in thing.witnesses:
                 embedding = surface.sightings.embeddings[[witness]]
                 level = int(surface.sightings.levels[witness])
                 logit = surface.description.heads.logits(embedding, level, text[None])[0, 0]
                 fits.append(1 / (1 + math.exp(-logit)))
-            assert thing.instance.score == pytest.approx(np.mean(fits), abs=1e-5)
+            assert thing.score == pytest.approx(np.mean(fits), abs=1e-5)
 
 
 def test_without_its_log_a_map_still_answers(
@@ -173,7 +176,7 @@ def test_without_its_log_a_map_still_answers(
     surface, (bed,) = query_run(elsewhere, ["bed"], VOXEL_M, 5)
     assert surface.sightings is None
     assert bed.things[0].views is None
-    assert distance_m(bed.things[0].instance.position_m, "bed") < 0.3
+    assert distance_m(bed.things[0].position_m, "bed") < 0.3
     # What the map says of its vertices needs no log.
     _, answers = answered
     np.testing.assert_allclose(bed.scores, answers["bed"].scores, atol=1e-5)
@@ -190,13 +193,20 @@ def test_what_is_not_there_is_not_found(answered: tuple[Surface, dict[str, Answe
     assert answers["toilet"].best < answers["toilet"].measure.threshold
 
 
+def neural_map(run: Path) -> NeuralMap:
+    content = load_map(RunFolder(run).map)
+    assert isinstance(content, NeuralMap)
+    return content
+
+
 def test_a_query_competes_with_the_prompts_and_with_nothing_else(
     run: Path, answered: tuple[Surface, dict[str, Answer]]
 ) -> None:
     """Against the definition, vertex by vertex and level by level."""
     surface, answers = answered
-    semantics = load_map(RunFolder(run).map).semantics_at(surface.mesh.vertices_m)
-    description = load_map(RunFolder(run).map).semantics.description  # type: ignore[union-attr]
+    content = neural_map(run)
+    semantics = content.semantics_at(surface.mesh.vertices_m)
+    description = surface.description
     texts = np.concatenate([description.texts, BuiltinTexts().embed(["couch"])])
     checked = 0
     for vertex in range(0, len(surface.mesh.vertices_m), 50):
@@ -293,8 +303,8 @@ def test_an_image_finds_what_it_shows(run: Path, encoder: Path, tmp_path: Path, 
     query = ImageQuery(tmp_path / "thing.png", encoder)
     _, (answer,) = query_run(run, [], VOXEL_M, 5, image=query)
     assert answer.query == "thing.png"
-    assert distance_m(answer.things[0].instance.position_m, name) < 0.3
-    assert distance_m(max(answer.things, key=size).instance.position_m, name) < 0.3
+    assert distance_m(answer.things[0].position_m, name) < 0.3
+    assert distance_m(max(answer.things, key=size).position_m, name) < 0.3
     assert answer.best >= answer.measure.threshold
 
 
@@ -378,7 +388,7 @@ def test_the_recording_has_a_mesh_and_boxes_for_each_query(
     assert str(path) in capsys.readouterr().out
     _, (bed, toilet) = query_run(run, ["bed", "toilet"], VOXEL_M, 5)
     rows = rows_of(path)
-    things = [thing.instance for thing in bed.things]
+    things = bed.things
     labels = rows["/world/found/0", "Boxes3D:labels"][0][1]
     assert labels == [f"bed {thing.score:.2f}" for thing in things]
     centers = rows["/world/found/0", "Boxes3D:centers"][0][1]
@@ -419,9 +429,8 @@ def test_colours_negatives_and_relations_only_take_things_away(run: Path) -> Non
     assert len(far.things) <= len(plain.things)
     np.testing.assert_array_equal(colored.scores, plain.scores)
     # A negative keeps just the vertices that it fits less by the margin.
-    content = load_map(RunFolder(run).map)
-    semantics = content.semantics_at(surface.mesh.vertices_m)
-    heads = content.semantics.description.heads  # type: ignore[union-attr]
+    semantics = neural_map(run).semantics_at(surface.mesh.vertices_m)
+    heads = surface.description.heads
     texts = BuiltinTexts().embed(["sofa", "bed", "couch"])
     logits = vertex_logits(semantics.embeddings, semantics.scale_logits, heads, texts)
     for answer, column in ((negative, 1), (nothing, 2)):
@@ -442,7 +451,7 @@ def test_what_is_asked_is_understood_before_the_surface_is_extracted(
     run: Path, encoder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        "proground_log.query.ask.surface_of", lambda *_: pytest.fail("began to work")
+        "proground_log.query.surface.extract_mesh", lambda *_: pytest.fail("began to work")
     )
     (tmp_path / "no.png").write_bytes(b"no picture")
     with pytest.raises(ProgroundError, match="cannot be read as an image"):

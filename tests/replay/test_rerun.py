@@ -15,9 +15,11 @@ from pglog.commands import main
 from proground_log.errors import ProgroundError
 from proground_log.evaluation.judge import evaluate_run
 from proground_log.events import Event, FrameDone
+from proground_log.query.surface import Surfaces
 from proground_log.run.folder import Checkpoint, RunFolder
 from proground_log.run.ledger import read_ledger
 from proground_log.run.manifest import Manifest
+from proground_log.run.opened import OpenedRun
 from proground_log.run.settings import SimulationConfig
 from replay.digests import state_digests
 from replay.divergence.rerun import Excerpt, rerun, state_after
@@ -109,9 +111,9 @@ def test_a_log_that_is_gone_or_changed_is_named(run: Path, room_log: Path, tmp_p
     with pytest.raises(ProgroundError, match=r"gone\.mcap: .*is not there; .*--log"):
         rerun(copy, tmp_path / "again", check=True)
     with pytest.raises(ProgroundError, match=r"gone\.mcap: .*is not there; .*--log"):
-        evaluate_run(copy, None, 0.1, lambda *_: None)
+        evaluate_run(Surfaces(OpenedRun.finished(copy)), 0.1)
     with pytest.raises(ProgroundError, match=r"lost\.mcap: .*is not there; .*--log"):
-        evaluate_run(copy, tmp_path / "lost.mcap", 0.1, lambda *_: None)
+        OpenedRun.finished(copy, tmp_path / "lost.mcap")
     changed = shutil.copy(room_log, tmp_path / "changed.mcap")
     assert rerun(copy, tmp_path / "again", check=True, log=changed) is None
     RunFolder(copy).manifest.write_text(json.dumps({**manifest, "log_sha256": "0"}))

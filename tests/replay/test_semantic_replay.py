@@ -16,8 +16,10 @@ from proground_log.log.reader import LogReader
 from proground_log.mapping.map_file import load_map
 from proground_log.perception.builtin_texts import BuiltinTexts
 from proground_log.perception.perceive import perceive
+from proground_log.query.surface import Surfaces
 from proground_log.run.folder import RunFolder
 from proground_log.run.ledger import read_ledger
+from proground_log.run.opened import OpenedRun
 from proground_log.run.settings import ReplayConfig
 from replay.ablation.variants import Variant, run_variants, weighting_and_filtering
 from replay.session import ReplayStoppedError, replay
@@ -98,16 +100,16 @@ def test_another_task_is_another_ledger(room_log: Path, seen_run: Path, tmp_path
     fewer = perceiver_of(room_log, cushions=False)
     replay(room_log, tmp_path / "run", SMALL, perceiver=fewer)
     assert ledger_bytes(tmp_path / "run") != ledger_bytes(seen_run)
-    description = load_map(RunFolder(tmp_path / "run").map).semantics
+    description = load_map(RunFolder(tmp_path / "run").map).description
     assert description is not None
-    assert description.description.task == fewer.description.task
+    assert description.task == fewer.description.task
 
 
 def test_a_variant_of_an_ablation_is_a_replay_of_its_own(seen_run: Path, room_log: Path) -> None:
     perceiver, config = perceiver_of(room_log), replace(SMALL, hold_out_every=0)
     run = seen_run.parent / "all"
     replay(room_log, run, config, perceiver=perceiver)
-    expected = evaluate_run(run, None, 0.1, lambda *_: None).scores
+    expected = evaluate_run(Surfaces(OpenedRun.finished(run)), 0.1).scores
     own = Variant("own", config.mapper.semantics)
     variants = [*weighting_and_filtering(config.mapper.semantics), own]
     outcomes = run_variants(

@@ -4,37 +4,43 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import pytest
 import tyro
 
 from proground_log.errors import ProgroundError
+from proground_log.evaluation import judge
 from proground_log.evaluation.judge import Evaluation
 from proground_log.field.config import FieldConfig
 from proground_log.frame import Selection
 from proground_log.log.reader import LogReader
-from proground_log.mapping.config import (
+from proground_log.mapping.neural.config import (
     BufferConfig,
-    MapperConfig,
+    NeuralConfig,
     SamplingConfig,
     SemanticsConfig,
 )
 from proground_log.perception.perceive import perceive
 from proground_log.perception.simulated.perceiver import SimulatedPerception
 from proground_log.perception.task import Task
+from proground_log.query import surface
 from proground_log.report import run_page, things, views
 from proground_log.report.page import Charts, Note, Page, Table, Views
 from proground_log.report.run_page import page_of, write_report
+from proground_log.run import opened
 from proground_log.run.history import read_history
 from proground_log.run.ledger import bits_float, read_ledger
 from proground_log.run.settings import ReplayConfig, SimulationConfig, TelemetryConfig, flags
 from replay.session import replay
 
 WICKED = "<script>alert(1)</script>"
-SMALL = MapperConfig(
+SMALL = NeuralConfig(
     field=FieldConfig(log2_rows=12, levels=4, voxel_m=0.1),
     sampling=SamplingConfig(rays=64, uniform=8, near_surface=5),
     semantics=SemanticsConfig(rays=32, background_rays=16, samples=3),
@@ -57,7 +63,7 @@ def small_pictures() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(views, "VIEW_WIDTH", 24)
         patch.setattr(views, "FRAMES_SHOWN", 2)
-        patch.setattr(things, "VOXEL_M", 0.12)
+        patch.setattr(things, "OBJECTS_VOXEL_M", 0.12)
         yield
 
 
@@ -88,13 +94,13 @@ def quick_verdict(monkeypatch: pytest.MonkeyPatch) -> None:
     """Judging has tests of its own and takes most of the time."""
     scores = {"psnr_db": 21.27, "ssim": 0.8764, "judged_points": 7.0}
     verdict = Evaluation(scores, {"bed": (1200, 62.5)})
-    monkeypatch.setattr(run_page, "evaluate_run", lambda *_: verdict)
+    monkeypatch.setattr(run_page, "evaluate_run", lambda *_, **__: verdict)
 
 
 @pytest.fixture(scope="module")
 def page(rich_run: Path) -> Page:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run_page, "evaluate_run", lambda *_: Evaluation({}, {}))
+        patch.setattr(run_page, "evaluate_run", lambda *_, **__: Evaluation({}, {}))
         return page_of(rich_run, None, silent)
 
 
@@ -119,7 +125,35 @@ def test_the_history_is_the_ledgers(rich_run: Path) -> None:
         seconds = result["simulation"][f"{stage} s"]
         assert spent_ms.sum() / 1000 == pytest.approx(seconds, abs=1e-3)
     assert history.lag_s.max() == pytest.approx(result["simulation"]["worst lag s"], abs=1e-4)
-    assert history.buffer["samples"] == history.samples[-1] == result["buffer samples"]
+    samples = history.counts["buffer"]["samples"]
+    assert history.held["buffer"]["samples"] == samples[-1] == result["buffer samples"]
+
+
+def test_everything_is_read_and_made_once(rich_run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run_page, "evaluate_run", judge.evaluate_run)
+    monkeypatch.setattr(things, "OBJECTS_VOXEL_M", surface.OBJECTS_VOXEL_M)
+    calls: Counter[str] = Counter()
+
+    def counted(module: ModuleType, name: str) -> None:
+        inner = getattr(module, name)
+
+        def outer(*arguments: Any, **named: Any) -> Any:
+            # A mesh of other voxels is another mesh.
+            calls[f"{name} {arguments[-1]}" if name == "extract_mesh" else name] += 1
+            return inner(*arguments, **named)
+
+        monkeypatch.setattr(module, name, outer)
+
+    for name in ("file_sha256", "load_map", "read_history", "LogReader"):
+        counted(opened, name)
+    for name in ("extract_mesh", "find_sightings", "objects_of_regions"):
+        counted(surface, name)
+    page_of(rich_run, None, silent)
+    meshes = {name for name in calls if name.startswith("extract_mesh")}
+    assert len(meshes) == 2
+    others = {"file_sha256", "load_map", "read_history", "LogReader"}
+    assert set(calls) == meshes | others | {"find_sightings", "objects_of_regions"}
+    assert set(calls.values()) == {1}
 
 
 def test_a_rich_run_shows_everything(page: Page) -> None:
@@ -128,7 +162,7 @@ def test_a_rich_run_shows_everything(page: Page) -> None:
     assert "250 ms a frame" in notes(page, "Simulated time")
     views = [part for part in section(page, "Views") if isinstance(part, Views)]
     assert [len(pictures) for _, pictures in views[0].frames] == [6] * 2
-    assert "Meaning:" in notes(page, "Memory")
+    assert "Semantics, labels:" in notes(page, "Memory")
 
 
 def test_a_plain_run_says_what_it_lacks(plain_run: Path) -> None:
@@ -143,7 +177,7 @@ def test_a_plain_run_says_what_it_lacks(plain_run: Path) -> None:
 
 
 def test_what_cannot_be_judged_says_why(plain_run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object) -> Evaluation:
+    def refuse(*_: object, **__: object) -> Evaluation:
         raise ProgroundError("there is nothing to judge it by", where="run", todo="hold out some")
 
     monkeypatch.setattr(run_page, "evaluate_run", refuse)

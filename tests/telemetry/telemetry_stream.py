@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import asdict
 from itertools import pairwise
 
 import cv2
@@ -11,18 +12,18 @@ import trimesh
 
 from proground_log.camera import Camera
 from proground_log.events import (
-    BufferStatistics,
+    Counts,
     Event,
     FrameArrived,
     FrameDone,
     FrameDropped,
     FrameScheduled,
     KeyframeInserted,
+    MapperKnown,
     MeshExtracted,
     RegionsArrived,
     RunFinished,
     SemanticScores,
-    SemanticStatistics,
     SemanticView,
     StateDigested,
     StepDone,
@@ -31,6 +32,7 @@ from proground_log.events import (
     ViewRendered,
 )
 from proground_log.frame import Frame
+from proground_log.mapping.neural.statistics import BufferStatistics, SemanticStatistics
 from replay.scheduler import Drop, Policy, Slot, Timing, schedule
 
 CAMERA = Camera(64, 48, 60.0, 60.0, 32.0, 24.0)
@@ -77,6 +79,13 @@ def statistics(index: int, task: TaskKnown) -> SemanticStatistics:
     return SemanticStatistics(
         total, 1000, 7 * index, 3 + index, labels, [total, index, 2], 2 * total, total, 4 * total
     )
+
+
+def counts(index: int, held: int, task: TaskKnown | None) -> Counts:
+    """What is held after a frame."""
+    buffer = BufferStatistics(held, CAPACITY, index + 1, 5 + index, 7, 40 * held)
+    memory = None if task is None else asdict(statistics(index, task))
+    return {"buffer": asdict(buffer), "semantics": memory}
 
 
 def scores(index: int) -> SemanticScores:
@@ -148,11 +157,10 @@ def of_frames(
 
     Args:
         indices: the frames that are mapped or dropped here.
-        task: told first; None where there is none.
+        task: told at first; None where there is none.
         policy: what is done with frames that arrive too fast.
     """
-    if task is not None:
-        yield task
+    yield MapperKnown("neural", True, counts(0, 0, task), task)
     step = free_ns = 0
     for slot in slots(indices.stop, policy):
         if slot.frame in indices:
@@ -192,7 +200,7 @@ def of_slot(
     for iteration in range(slot.steps):
         step = first_step + iteration
         now_ns = steps_ns + TIMING.step_ns * (iteration + 1)
-        yield StepDone(index, step, iteration, now_ns, losses(step, task), "0" * 64, 8, 8)
+        yield StepDone(index, step, iteration, now_ns, losses(step, task), "0" * 64)
     for happening in slot.meanwhile:
         if isinstance(happening, Drop):
             yield FrameDropped(happening.frame, happening.at_ns, happening.reason)
@@ -208,9 +216,7 @@ def of_slot(
         overrun_ns=slot.overrun_ns,
         spans=spans(slot, beside=beside),
     )
-    buffer = BufferStatistics(held, CAPACITY, index + 1, 5 + index, 7, 40 * held)
-    memory = statistics(index, task) if task is not None else None
-    yield FrameDone(index, slot.steps, slot.end_ns, buffer, memory)
+    yield FrameDone(index, slot.steps, slot.end_ns, counts(index, held, task))
     if task is not None:
         yield scores(index)
     yield view(index, task)

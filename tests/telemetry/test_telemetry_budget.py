@@ -208,7 +208,7 @@ def test_segments_of_a_resumed_run_go_on_counting(
         "last_position_m": last.frame.world_from_camera[:3, 3],
     }
     first = record(tmp_path / "0.rrd", events[:cut])
-    second = record(tmp_path / "1.rrd", events[cut:], **resumed)
+    second = record(tmp_path / "1.rrd", [events[0], *events[cut:]], **resumed)
     merge_segments([first, second], tmp_path / "merged.rrd")
     assert cells_of(tmp_path / "merged.rrd") == cells_of(runs[name].path)
     assert 0 < dropped < len(runs[name].drops)

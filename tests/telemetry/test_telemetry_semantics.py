@@ -129,26 +129,28 @@ def test_scores_are_drawn_where_there_are_any(rows: Rows) -> None:
 
 def test_the_memory_of_meaning_is_drawn(rows: Rows) -> None:
     figures = {
-        "semantic_samples": [memory.samples for memory in MEMORIES],
-        "semantic_share": [memory.samples / memory.capacity for memory in MEMORIES],
+        "samples": [memory.samples for memory in MEMORIES],
+        "share": [memory.samples / memory.capacity for memory in MEMORIES],
         "background": [memory.background for memory in MEMORIES],
         "regions": [memory.regions for memory in MEMORIES],
-        "semantic_bytes": [memory.size_bytes for memory in MEMORIES],
-        "semantic_inserted": [memory.inserted for memory in MEMORIES],
-        "semantic_evicted": [memory.evicted for memory in MEMORIES],
+        "size_bytes": [memory.size_bytes for memory in MEMORIES],
+        "inserted": [memory.inserted for memory in MEMORIES],
+        "evicted": [memory.evicted for memory in MEMORIES],
     }
     for name, expected in figures.items():
-        times, values = scalars(rows, f"/buffer/{name}")
+        times, values = scalars(rows, f"/semantics/{name}")
         assert values.tolist() == expected
         assert times[:, 0].tolist() == list(FRAMES)
 
 
 def test_labels_and_levels_are_curves_by_name(rows: Rows) -> None:
-    assert curves(rows, "/buffer/labels") == [list(memory.labels.values()) for memory in MEMORIES]
-    assert curves(rows, "/buffer/levels") == [memory.levels for memory in MEMORIES]
-    [(_, names)] = rows["/buffer/labels", "SeriesLines:names"]
+    assert curves(rows, "/semantics/labels") == [
+        list(memory.labels.values()) for memory in MEMORIES
+    ]
+    assert curves(rows, "/semantics/levels") == [memory.levels for memory in MEMORIES]
+    [(_, names)] = rows["/semantics/labels", "SeriesLines:names"]
     assert names == list(TASK.prompts)
-    [(_, colors)] = rows["/buffer/labels", "SeriesLines:colors"]
+    [(_, colors)] = rows["/semantics/labels", "SeriesLines:colors"]
     assert [rgb(color) for color in colors] == [tuple(color) for color in TASK.colors.tolist()]
 
 
@@ -156,8 +158,8 @@ def test_of_many_labels_all_are_kept_and_the_first_are_visible(tmp_path: Path) -
     prompts = tuple(f"thing {number}" for number in range(300))
     colors = np.random.default_rng(0).integers(0, 256, (300, 3), dtype=np.uint8)
     rows = rows_of(record(tmp_path / "many.rrd", range(2), TaskKnown("many", prompts, colors)))
-    assert curves(rows, "/buffer/labels")[1] == list(range(1, 301))
-    [(_, visible)] = rows["/buffer/labels", "SeriesLines:visible_series"]
+    assert curves(rows, "/semantics/labels")[1] == list(range(1, 301))
+    [(_, visible)] = rows["/semantics/labels", "SeriesLines:visible_series"]
     assert visible == [True] * 20 + [False] * 280
 
 

@@ -80,7 +80,7 @@ class BufferConfig:
 
 
 @dataclass(frozen=True)
-class MapperConfig:
+class NeuralConfig:
     """Everything that decides what the mapper learns, seed aside."""
 
     field: FieldConfig = FieldConfig()

@@ -7,24 +7,32 @@ from __future__ import annotations
 
 import copy
 import hashlib
-from dataclasses import dataclass
+from dataclasses import asdict
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from proground_log.bounds import Bounds
-from proground_log.events import KeyframeInserted
+from proground_log.events import Counts, Event, KeyframeInserted, SemanticScores
 from proground_log.field.losses import color_loss, depth_loss, sdf_losses, smoothness_loss
 from proground_log.field.neural_field import NeuralField
 from proground_log.field.rendering import before_surface, composite, sdf_weights
 from proground_log.field.sampling import sample_depths
 from proground_log.frame import Frame
-from proground_log.mapping.config import MapperConfig
-from proground_log.mapping.observed import ObservedSurface
-from proground_log.mapping.optimiser import ADAM_BETAS, restore_training, training_state, under
-from proground_log.mapping.replay_buffer import RaySamples, ReplayBuffer, ray_samples
-from proground_log.mapping.semantic_learner import SemanticLearner
+from proground_log.mapping.mapper import StepResult
+from proground_log.mapping.neural.config import NeuralConfig
+from proground_log.mapping.neural.neural_map import NeuralMap
+from proground_log.mapping.neural.observed import ObservedSurface
+from proground_log.mapping.neural.optimiser import (
+    ADAM_BETAS,
+    restore_training,
+    training_state,
+    under,
+)
+from proground_log.mapping.neural.replay_buffer import RaySamples, ReplayBuffer, ray_samples
+from proground_log.mapping.neural.semantic_learner import SemanticLearner
+from proground_log.mapping.neural.semantic_map import SemanticMap
 from proground_log.perception.description import PerceptionDescription
 from proground_log.streams import stream
 
@@ -32,16 +40,6 @@ TABLE_EPSILON = 1e-15
 AVERAGE_EVERY = 10
 """Steps between two moves of the averaged field."""
 DECODER_WEIGHT_DECAY = 1e-6
-
-
-@dataclass(frozen=True)
-class StepResult:
-    """What a step did; see `events.StepDone`."""
-
-    losses: dict[str, float]
-    draws_digest: str
-    rays_current: int
-    rays_replayed: int
 
 
 class OnlineMapper:
@@ -61,7 +59,7 @@ class OnlineMapper:
 
     def __init__(
         self,
-        config: MapperConfig,
+        config: NeuralConfig,
         bounds: Bounds,
         seed: int,
         device: str,
@@ -91,7 +89,12 @@ class OnlineMapper:
         self._iteration = 0
         self._steps = 0
 
-    def insert(self, frame: Frame, *, is_keyframe: bool = True) -> KeyframeInserted | None:
+    @property
+    def description(self) -> PerceptionDescription | None:
+        """What its meaning is of; None where it learns none."""
+        return None if self.semantics is None else self.semantics.description
+
+    def insert(self, frame: Frame, *, is_keyframe: bool = True) -> tuple[Event, ...]:
         """Make `frame` the current one; samples of a keyframe are remembered."""
         self._frame, self._iteration = frame, 0
         self.observed.add(frame)
@@ -99,12 +102,12 @@ class OnlineMapper:
         if self.semantics is not None:
             self.semantics.insert(frame, self.pixels)
         if not is_keyframe or not len(self.pixels):
-            return None
+            return ()
         random = stream(self.seed, "buffer", frame.index)
         count = min(self.config.buffer.keyframe_samples, len(self.pixels))
         chosen = np.sort(random.choice(self.pixels, size=count, replace=False))
         evicted = self.buffer.insert(frame.index, ray_samples(frame, chosen), random)
-        return KeyframeInserted(frame.index, inserted=count, evicted=evicted)
+        return (KeyframeInserted(frame.index, inserted=count, evicted=evicted),)
 
     def insert_regions(self, frame: Frame) -> None:
         """Learn what a frame means that was inserted before it was known."""
@@ -116,6 +119,13 @@ class OnlineMapper:
         candidates = np.flatnonzero((frame.depth_m > 0) & frame.color_valid)
         points_m = ray_samples(frame, candidates).points_m()
         return candidates[self.bounds.contains(points_m)]
+
+    def steps(self, count: int) -> list[StepResult]:
+        """Do so many steps; none where neither the frame nor the buffer has a sample."""
+        results: list[StepResult] = []
+        while len(results) < count and (result := self.step()) is not None:
+            results.append(result)
+        return results
 
     def step(self) -> StepResult | None:
         """One optimisation step; None where neither the frame nor the buffer has a sample."""
@@ -154,12 +164,7 @@ class OnlineMapper:
         digest = hashlib.sha256()
         for draw in (*draws, jitter, corner):
             digest.update(draw.tobytes())
-        return StepResult(
-            losses={**losses, "total": sum_of_terms},
-            draws_digest=digest.hexdigest(),
-            rays_current=current,
-            rays_replayed=len(rays) - current,
-        )
+        return StepResult({**losses, "total": sum_of_terms}, digest.hexdigest())
 
     def _average(self) -> None:
         """Let the averaged field follow; at first it is close behind, so that it starts well."""
@@ -237,6 +242,25 @@ class OnlineMapper:
         axis = torch.arange(points, dtype=torch.float32)
         grid = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), dim=-1)
         return (start + grid * spacing).clamp(0, 1).reshape(-1, 3).to(self.device)
+
+    def scores(self, frame_index: int) -> SemanticScores | None:
+        """How well the heads give back what the regions say."""
+        return None if self.semantics is None else self.semantics.scores(frame_index)
+
+    def counts(self) -> Counts:
+        """What the replay buffer and the memory of meaning hold."""
+        semantics = None if self.semantics is None else asdict(self.semantics.statistics())
+        return {"buffer": asdict(self.buffer.statistics()), "semantics": semantics}
+
+    def finish(self) -> None:
+        """Nothing is left to do: the map is the field as it stands."""
+
+    def map(self) -> NeuralMap:
+        """The map so far."""
+        learner, semantics = self.semantics, None
+        if learner is not None:
+            semantics = SemanticMap(learner.heads, learner.description)
+        return NeuralMap(self.averaged, self.observed, semantics)
 
     def state(self) -> dict[str, np.ndarray]:
         """All that the next frame builds on, by name: "field/...", "optimiser/...", ...

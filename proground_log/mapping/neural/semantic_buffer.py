@@ -6,8 +6,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from proground_log.mapping.records import joined, take_rows
-from proground_log.mapping.water_level import below_water_level
+from proground_log.mapping.neural.records import joined, take_rows
+from proground_log.mapping.neural.water_level import below_water_level
 from proground_log.regions import EMBEDDING_WIDTH, LEVELS, Regions
 
 EVICTION_SHARE = 0.9

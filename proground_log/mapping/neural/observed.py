@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.ndimage import binary_dilation, distance_transform_edt
 
@@ -38,7 +40,7 @@ class ObservedSurface:
         cells = self._cells(points_m[self.bounds.contains(points_m)])
         self.voxels[tuple(cells.T)] = True
 
-    def near_lattice(self, axes_m: list[np.ndarray]) -> np.ndarray:
+    def near_lattice(self, axes_m: Sequence[np.ndarray]) -> np.ndarray:
         """Which points of a lattice lie in a marked voxel or within a spacing of one.
 
         Args:

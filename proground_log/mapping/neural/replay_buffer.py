@@ -6,10 +6,10 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from proground_log.events import BufferStatistics
 from proground_log.frame import Frame
-from proground_log.mapping.records import joined, take_rows
-from proground_log.mapping.water_level import below_water_level
+from proground_log.mapping.neural.records import joined, take_rows
+from proground_log.mapping.neural.statistics import BufferStatistics
+from proground_log.mapping.neural.water_level import below_water_level
 
 EVICTION_SHARE = 0.9
 """Part of the capacity that an eviction leaves: sorting all samples at every keyframe is slow."""

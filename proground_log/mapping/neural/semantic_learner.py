@@ -8,17 +8,23 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from proground_log.events import SemanticScores, SemanticStatistics
+from proground_log.events import SemanticScores
 from proground_log.field.losses import focal_loss, semantic_loss, uncertainty_loss
 from proground_log.field.neural_field import NeuralField
 from proground_log.field.rendering import before_surface, sdf_weights
 from proground_log.field.sampling import sample_depths
 from proground_log.field.semantic_heads import NO_SUPERVISION, PointFeatures, SemanticHeads
 from proground_log.frame import NO_REGION, Frame
-from proground_log.mapping.config import LossWeights, MapperConfig
-from proground_log.mapping.optimiser import ADAM_BETAS, restore_training, training_state, under
-from proground_log.mapping.replay_buffer import RaySamples, ReplayBuffer, ray_samples
-from proground_log.mapping.semantic_buffer import RegionTable, SemanticBuffer, SemanticRays
+from proground_log.mapping.neural.config import LossWeights, NeuralConfig
+from proground_log.mapping.neural.optimiser import (
+    ADAM_BETAS,
+    restore_training,
+    training_state,
+    under,
+)
+from proground_log.mapping.neural.replay_buffer import RaySamples, ReplayBuffer, ray_samples
+from proground_log.mapping.neural.semantic_buffer import RegionTable, SemanticBuffer, SemanticRays
+from proground_log.mapping.neural.statistics import SemanticStatistics
 from proground_log.perception.description import PerceptionDescription
 from proground_log.regions import LEVELS
 from proground_log.streams import stream
@@ -48,7 +54,7 @@ class SemanticLearner:
 
     def __init__(
         self,
-        config: MapperConfig,
+        config: NeuralConfig,
         description: PerceptionDescription,
         field: NeuralField,
         seed: int,

@@ -47,6 +47,11 @@ class OrientedBox:
         """Height of its upper side."""
         return self.bottom_m + float(self.extent_m[2])
 
+    def contains(self, points_m: np.ndarray) -> np.ndarray:
+        """Which points [N, 3] lie inside or on it, bool [N]."""
+        along_m = (points_m - self.centre_m) @ self.axes.T
+        return np.asarray((np.abs(along_m) <= self.extent_m / 2).all(axis=1))
+
     @cached_property
     def corners_m(self) -> np.ndarray:
         """The corners, float64 [8, 3], world axes."""
