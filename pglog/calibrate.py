@@ -22,6 +22,7 @@ from pglog.common import (
 )
 from proground_log.errors import ProgroundError
 from proground_log.frame import Selection
+from proground_log.mapping.kinds import NEURAL
 
 if TYPE_CHECKING:
     from proground_log.perception.onnx.perceiver import OnnxPerception
@@ -33,6 +34,7 @@ def calibrate_command(
     *,
     output: Output,
     name: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None,
+    mapper: Annotated[str, tyro.conf.arg(metavar="KIND")] = NEURAL,
     threads: MaybeInt = None,
     detector: MaybePath = None,
     segmenter: MaybePath = None,
@@ -47,6 +49,7 @@ def calibrate_command(
     Args:
         output: the cost model to write (.json).
         name: of the cost model; by default that of the file.
+        mapper: the kind whose stages are measured.
         threads: compute on so many.
         detector: measure perception with it, too (.onnx).
         segmenter: and with it, for masks (.onnx).
@@ -71,7 +74,7 @@ def calibrate_command(
         with shown_progress("record") as progress:
             record(room, "room", log, Selection(), overwrite=False, progress=progress)
         with shown_progress("calibrate") as progress:
-            points = measure(LogReader(log), perceiver=perceiver, progress=progress)
+            points = measure(LogReader(log), perceiver=perceiver, kind=mapper, progress=progress)
     perceived_with = _networks(detector, segmenter) if detector is not None else None
     model = cost_model(name or output.stem, points, how_measured(REPEATS, perceived_with))
     model.write(output)

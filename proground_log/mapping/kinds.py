@@ -23,6 +23,7 @@ if TYPE_CHECKING:  # The command line looks at kinds, and has to answer at once.
     import numpy as np
 
     from proground_log.bounds import Bounds
+    from proground_log.mapping.bench import Bench, Works
     from proground_log.mapping.map import Map
     from proground_log.mapping.mapper import Mapper
     from proground_log.perception.description import PerceptionDescription
@@ -104,6 +105,7 @@ class MapperKind:
             is learnt.
         learns: whether it learns meaning, where there are regions to learn it from.
         costs: what its own stages take, where a cost model does not know them.
+        works: its stages at several sizes, to be measured; None: those of `work` are timed whole.
     """
 
     settings: type
@@ -112,6 +114,7 @@ class MapperKind:
     work: Callable[..., FrameWork] = _insert_alone
     learns: Callable[[Any], bool] = lambda _: False
     costs: Mapping[str, StageCost] = field(default_factory=dict)
+    works: Callable[[Bench], Works] | None = None
 
 
 @cache

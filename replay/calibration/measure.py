@@ -25,13 +25,15 @@ from scipy.optimize import nnls
 
 from proground_log.errors import ProgroundError
 from proground_log.log.reader import LogReader
-from proground_log.mapping.kinds import StageCost
+from proground_log.mapping.kinds import NEURAL, StageCost
 from proground_log.perception.perceiver import Perceiver
 from proground_log.run.cost_model import UNITS, CostModel
 from replay.calibration.work import stage_works
 from replay.device import choose_device
 
 REPEATS = 15
+OTHER_UNIT = "pixel"
+"""Of a stage of a mapper of somebody else, which is measured by the size of its frames."""
 MOST_RESIDUAL_PERCENT = 15.0
 LEAST_R_SQUARED = 0.9
 REAL_SPREAD = 1.5
@@ -70,23 +72,25 @@ def measure(
     reader: LogReader,
     *,
     perceiver: Perceiver | None = None,
+    kind: str = NEURAL,
     repeats: int = REPEATS,
     progress: Callable[[int, int], None],
 ) -> dict[str, Points]:
     """Measure every stage on the CPU, on the threads that torch and numba are set to.
 
     Args:
-        reader: a log of the built-in room, see `calibration_work.stage_works`.
+        reader: a log of the built-in room, see `stage_works`.
         perceiver: the perception to measure; None leaves the stage out.
+        kind: the mapper whose stages are measured.
         repeats: calls at each size, of which the median counts.
         progress: told how much is done, and of how much.
 
     Returns:
-        The points by stage, in the order of `UNITS`.
+        The points by stage.
     """
     choose_device("cpu")  # As a replay does: torch computes deterministically.
     with tempfile.TemporaryDirectory(prefix="pglog-") as folder:
-        stages = stage_works(reader, perceiver, Path(folder))
+        stages = stage_works(reader, perceiver, Path(folder), kind)
         total = len(stages) * (1 + repeats)
         points: dict[str, Points] = {}
         done = itertools.count(1)
@@ -158,7 +162,7 @@ def stage_cost(stage: str, points: Points) -> StageCost:
     return StageCost(
         _of_four_digits(line.fixed_ns),
         _of_four_digits(line.per_unit_ns),
-        UNITS[stage],
+        UNITS.get(stage, OTHER_UNIT),
         round(residual_percent, 1),
     )
 

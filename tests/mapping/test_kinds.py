@@ -11,11 +11,15 @@ from pathlib import Path
 import pytest
 
 from proground_log.errors import ProgroundError
+from proground_log.log.reader import LogReader
+from proground_log.mapping import bench
 from proground_log.mapping.kinds import mapper_kind
 from proground_log.run.folder import RunFolder
 from proground_log.run.ledger import read_ledger
 from proground_log.run.manifest import Manifest
 from proground_log.run.settings import ReplayConfig, from_dict, with_kind, with_setting
+from replay.calibration import work
+from replay.calibration.measure import measure
 from replay.session import replay
 from tests.commands import Pglog
 from tests.replay.golden import perceiver_of
@@ -144,6 +148,14 @@ def test_a_sweep_sets_them(room_log: Path, tmp_path: Path, pglog: Pglog) -> None
     of_points = settings_of("--mapper", "points", "--set", "mapper.voxel_m=0.08,0.1")
     assert of_points == [{"mapper.voxel_m": 0.08}, {"mapper.voxel_m": 0.1}]
     assert settings_of("--set", "mapper=neural,points") == [{"kind": "neural"}, {"kind": "points"}]
+
+
+def test_its_stages_are_measured(room_log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(work, "WIDTHS", (32, 64))
+    monkeypatch.setattr(bench, "FRAMES_BEFORE", 2)
+    points = measure(LogReader(room_log), kind="points", repeats=1, progress=lambda *_: None)
+    assert list(points) == ["decode", "insert"]
+    assert points["insert"].units == (32 * 24, 64 * 48)
 
 
 @pytest.mark.parametrize("kind", BROKEN)

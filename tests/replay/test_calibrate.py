@@ -14,6 +14,8 @@ from hypothesis import strategies as st
 from pglog.commands import main
 from proground_log.errors import ProgroundError
 from proground_log.log.reader import LogReader
+from proground_log.mapping import bench
+from proground_log.mapping.neural import bench as neural_bench
 from proground_log.perception.builtin_texts import BuiltinTexts
 from proground_log.perception.of_log import task_of_labels
 from proground_log.perception.simulated.perceiver import SimulatedPerception
@@ -142,10 +144,10 @@ def test_a_model_says_what_it_was_measured_on(tmp_path: Path) -> None:
 def small_work(monkeypatch: pytest.MonkeyPatch) -> None:
     """Sizes that take seconds, each stage's largest much larger than its smallest."""
     monkeypatch.setattr(calibration_work, "WIDTHS", (64, 240))
-    monkeypatch.setattr(calibration_work, "RAYS", (16, 512))
-    monkeypatch.setattr(calibration_work, "SEMANTIC_RAYS", (12, 768))
-    monkeypatch.setattr(calibration_work, "FRAMES_BEFORE", 3)
-    monkeypatch.setattr(calibration_work, "STEPS_BEFORE", 1)
+    monkeypatch.setattr(neural_bench, "RAYS", (16, 512))
+    monkeypatch.setattr(neural_bench, "SEMANTIC_RAYS", (12, 768))
+    monkeypatch.setattr(neural_bench, "STEPS_BEFORE", 1)
+    monkeypatch.setattr(bench, "FRAMES_BEFORE", 3)
 
 
 @pytest.mark.usefixtures("small_work")

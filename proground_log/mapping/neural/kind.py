@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from proground_log.bounds import Bounds
 from proground_log.mapping.kinds import FrameWork, MapperKind
+from proground_log.mapping.neural.bench import neural_works
 from proground_log.mapping.neural.config import NeuralConfig
 from proground_log.mapping.neural.neural_map import load_neural_map
 from proground_log.mapping.neural.online_mapper import OnlineMapper
@@ -39,5 +40,10 @@ def _learns(settings: NeuralConfig) -> bool:
 
 
 KIND = MapperKind(
-    settings=NeuralConfig, make=_make, load=load_neural_map, work=_work, learns=_learns
+    settings=NeuralConfig,
+    make=_make,
+    load=load_neural_map,
+    work=_work,
+    learns=_learns,
+    works=neural_works,
 )
