@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test test-all fuzz lint bench setup
+.PHONY: demo test test-all fuzz lint bench architecture setup
 
 demo: setup
 	$(BIN)/pglog demo -o demo --overwrite
@@ -22,6 +22,10 @@ lint: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# The picture of docs/architecture.md, from the imports.
+architecture: setup
+	$(BIN)/python docs/draw_architecture.py
 
 bench: setup
 	$(BIN)/python -m benchmarks

@@ -1,0 +1,1 @@
+"""Logs on disk: messages, writer, reader, registration, and what is wrong with one."""

@@ -1,0 +1,1 @@
+"""Recordings for the rerun viewer: of replays, logs, objects, answers and ways."""

@@ -1,0 +1,1 @@
+"""What each stage of a replay takes on this machine: a cost model."""

@@ -1,0 +1,1 @@
+"""Where two runs part ways: first difference, repetition, bisection."""

@@ -1,0 +1,1 @@
+"""A log under many budgets, seeds and settings, and each map judged."""

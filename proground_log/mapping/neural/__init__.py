@@ -1,0 +1,1 @@
+"""The paper's mapper: one frame after the other into a neural field."""

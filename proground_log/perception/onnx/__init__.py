@@ -1,0 +1,1 @@
+"""Detector, segmenter and encoders of one's own, as ONNX files."""
