@@ -12,6 +12,7 @@ from tyro.conf import Positional
 
 from pglog.common import SAME, MaybeFloat, MaybePath, Output, Run, err, warn
 from proground_log.errors import ProgroundError
+from proground_log.query.voxels import LOOK_VOXEL_M, OBJECTS_VOXEL_M
 
 if TYPE_CHECKING:
     from proground_log.exports.labels import SurfaceLabels
@@ -192,11 +193,11 @@ def _labelled(request: _Request) -> tuple[list[SceneObject], SurfaceLabels]:
 
 
 _EXPORTS = {
-    "mesh": _Export(_mesh, (".ply", ".glb"), 0.02),
-    "points": _Export(_points, (".ply",), 0.02),
+    "mesh": _Export(_mesh, (".ply", ".glb"), LOOK_VOXEL_M),
+    "points": _Export(_points, (".ply",), LOOK_VOXEL_M),
     "openlex3d": _Export(_openlex3d, (), 0.05, _openlex3d_files),
-    "occupancy": _Export(_occupancy, (".yaml",), 0.03, _occupancy_files),
-    "objects": _Export(_objects, (".json",), 0.03),
-    "mcap": _Export(_mcap, (".mcap",), 0.03),
+    "occupancy": _Export(_occupancy, (".yaml",), OBJECTS_VOXEL_M, _occupancy_files),
+    "objects": _Export(_objects, (".json",), OBJECTS_VOXEL_M),
+    "mcap": _Export(_mcap, (".mcap",), OBJECTS_VOXEL_M),
 }
 """By name, in the order of the help."""

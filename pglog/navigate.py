@@ -10,6 +10,7 @@ import tyro
 
 from pglog.common import SAME, AsJson, MaybePath, Run, err, print_table, warn
 from proground_log.errors import ProgroundError
+from proground_log.query.voxels import OBJECTS_VOXEL_M
 
 if TYPE_CHECKING:
     from proground_log.navigation.journey import Journey
@@ -24,7 +25,7 @@ def navigate_command(
     robot_height: float = 1.0,
     vocabulary: MaybePath = None,
     text_encoder: MaybePath = None,
-    voxel_m: float = 0.03,
+    voxel_m: float = OBJECTS_VOXEL_M,
     as_json: AsJson = False,
     png: MaybePath = None,
     rrd: MaybePath = None,

@@ -7,12 +7,13 @@ import json
 from rich.table import Column, Table
 
 from pglog.common import SAME, AsJson, MaybePath, Run, err, out, warn
+from proground_log.query.voxels import OBJECTS_VOXEL_M
 
 
 def objects_command(
     run: Run,
     *,
-    voxel_m: float = 0.03,
+    voxel_m: float = OBJECTS_VOXEL_M,
     as_json: AsJson = False,
     csv: MaybePath = None,
     rrd: MaybePath = None,
@@ -30,7 +31,7 @@ def objects_command(
         overwrite: replace these files.
         log: the run's log, where it has moved: it tells objects apart.
     """
-    from proground_log.exports.objects import object_rows, rounded, write_objects_csv
+    from proground_log.exports.objects import object_rows, place_text, write_objects_csv
     from proground_log.files import require_free
     from proground_log.query.surface import Surfaces
     from proground_log.run.opened import OpenedRun
@@ -63,8 +64,8 @@ def objects_command(
         table.add_row(
             str(number),
             thing.label,
-            " ".join(f"{value:.2f}" for value in rounded(thing.position_m)),
-            "x".join(f"{value:.2f}" for value in thing.box.extent_m),
+            place_text(thing.position_m),
+            place_text(thing.box.extent_m, "x"),
             f"{thing.score:.2f}",
             "" if thing.views is None else str(thing.views),
         )

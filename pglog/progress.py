@@ -12,7 +12,8 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from proground_log.events import Event, FrameDone, StepDone
+from pglog.common import err
+from proground_log.events import Event, FrameDone, Sink, StepDone
 
 
 def progress_bar(console: Console) -> Progress:
@@ -26,6 +27,11 @@ def progress_bar(console: Console) -> Progress:
         TextColumn("{task.fields[note]}"),
         console=console,
     )
+
+
+def frames_watched(frames: int) -> list[Sink]:
+    """A bar for a replay with so many frames to come, as its only watcher."""
+    return [ProgressSink(frames, err)]
 
 
 class ProgressSink:

@@ -11,6 +11,7 @@ from tyro.conf import Positional
 
 from pglog.common import SAME, AsJson, MaybePath, Run, err, out, warn
 from proground_log.errors import ProgroundError
+from proground_log.query.voxels import OBJECTS_VOXEL_M
 
 if TYPE_CHECKING:
     from proground_log.query.ask import Answer
@@ -27,7 +28,7 @@ def query_command(
     vocabulary: MaybePath = None,
     text_encoder: MaybePath = None,
     top_k: int = 5,
-    voxel_m: float = 0.03,
+    voxel_m: float = OBJECTS_VOXEL_M,
     as_json: AsJson = False,
     rrd: MaybePath = None,
     overwrite: bool = False,
@@ -115,7 +116,7 @@ def _as_json(answer: Answer) -> dict[str, object]:
 
 
 def _print(answers: list[Answer]) -> None:
-    from proground_log.exports.objects import rounded
+    from proground_log.exports.objects import place_text
 
     table = Table(
         *(Column(name, overflow="fold") for name in ("query", "rank", "object")),
@@ -123,8 +124,8 @@ def _print(answers: list[Answer]) -> None:
     )
     for answer in answers:
         for rank, thing in enumerate(answer.things, start=1):
-            position = " ".join(f"{value:.2f}" for value in rounded(thing.position_m))
-            extent = "x".join(f"{value:.2f}" for value in thing.box.extent_m)
+            position = place_text(thing.position_m)
+            extent = place_text(thing.box.extent_m, "x")
             # A relevance goes without saying; a z-score does not.
             unit = "" if answer.measure.name == "relevance" else f"{answer.measure.name} "
             score = f"{unit}{thing.score:.2f}"

@@ -16,14 +16,12 @@ from pglog.common import (
     MaybePath,
     Output,
     Run,
-    err,
 )
 from pglog.diff import print_divergence
 from proground_log.errors import ProgroundError
 from proground_log.perception.opening import PerceptionOptions, perceiver_of_replay
 
 if TYPE_CHECKING:
-    from proground_log.events import Sink
     from proground_log.perception.perceiver import Perceiver
 
 
@@ -59,6 +57,7 @@ def rerun_command(
             leave telemetry out.
         overwrite: replace a run that is in the output.
     """
+    from pglog.progress import frames_watched
     from proground_log.run.folder import RunFolder
     from replay.device import set_threads
     from replay.divergence.diff import origins_of
@@ -91,7 +90,7 @@ def rerun_command(
             check=check,
             log=log,
             perceiver=perceiver,
-            watchers=_progress,
+            watchers=frames_watched,
             excerpt=Excerpt(start, until_frame, keep_every),
             overwrite=overwrite,
         )
@@ -113,9 +112,3 @@ def perceiver_of_run(run: Path, log: Path | None, options: PerceptionOptions) ->
     from proground_log.run.opened import OpenedRun
 
     return perceiver_of_replay(OpenedRun(run, log).log, options) if options.is_given else None
-
-
-def _progress(frames: int) -> list[Sink]:
-    from pglog.progress import ProgressSink
-
-    return [ProgressSink(frames, err)]

@@ -19,7 +19,6 @@ from pglog.common import (
     MaybePath,
     Output,
     Run,
-    err,
     out,
     print_table,
     shown_progress,
@@ -29,10 +28,10 @@ from pglog.pause import TerminalPause
 from pglog.rerun import rerun_command
 from proground_log.errors import ProgroundError
 from proground_log.perception.opening import PerceptionOptions, perceiver_of_replay
+from proground_log.query.voxels import LOOK_VOXEL_M
 from proground_log.run.settings import ReplayConfig
 
 if TYPE_CHECKING:
-    from proground_log.events import Sink
     from proground_log.run.manifest import Manifest
 
 
@@ -67,6 +66,7 @@ def replay_command(
         check: with it: compare with its ledger, and stop at the first difference (exit code 1).
         overwrite: replace a run that is there.
     """
+    from pglog.progress import frames_watched
     from proground_log.log.reader import LogReader
     from replay.device import set_threads
     from replay.session import ReplayStoppedError, replay
@@ -102,7 +102,7 @@ def replay_command(
             start=from_checkpoint,
             overwrite=overwrite,
             perceiver=perceiver_of_replay(LogReader(log), perception),
-            watchers=_progress_watcher,
+            watchers=frames_watched,
             warn=warn,
             until_frame=until_frame,
             pause=pause,
@@ -112,12 +112,6 @@ def replay_command(
         return STOPPED if stop.is_interruption else SAME
     print_summary(output, result)
     return SAME
-
-
-def _progress_watcher(frames: int) -> list[Sink]:
-    from pglog.progress import ProgressSink
-
-    return [ProgressSink(frames, err)]
 
 
 def print_summary(run: Path, manifest: Manifest) -> None:
@@ -150,7 +144,7 @@ def evaluate_command(
     run: Run,
     *,
     log: MaybePath = None,
-    voxel_m: float = 0.02,
+    voxel_m: float = LOOK_VOXEL_M,
     ground_truth: MaybePath = None,
     names: MaybePath = None,
     mapping: MaybePath = None,
@@ -189,6 +183,11 @@ def evaluate_command(
     with shown_progress("evaluate") as progress:
         surfaces = Surfaces(OpenedRun.finished(run, log))
         result = evaluate_run(surfaces, voxel_m, progress, ground_truth=truth, texts=texts)
+    if truth is None:
+        try:
+            result.write(surfaces.run.folder.evaluation)
+        except ProgroundError as error:  # The figures are shown all the same.
+            warn(str(error))
     if as_json:
         print(json.dumps(result.to_json(), indent=2))
         return SAME

@@ -17,6 +17,7 @@ from rich.table import Column, Table
 from pglog.common import FAILED, SAME, STOPPED, Log, MaybeInt, Output, err, out, warn
 from proground_log.errors import ProgroundError
 from proground_log.perception.opening import PerceptionOptions, perceiver_of_replay
+from proground_log.query.voxels import LOOK_VOXEL_M
 from proground_log.run.settings import ReplayConfig, SimulationConfig, TelemetryConfig
 
 if TYPE_CHECKING:
@@ -70,7 +71,7 @@ def sweep_command(
     ] = (),
     engine: Literal["local", "ray"] = "local",
     workers: MaybeInt = None,
-    voxel_m: float = 0.02,
+    voxel_m: float = LOOK_VOXEL_M,
     ray_address: Annotated[
         str | None, tyro.conf.arg(metavar="HOST:PORT", help_behavior_hint="")
     ] = None,

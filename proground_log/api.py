@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from proground_log.locations import located
+from proground_log.query.voxels import LOOK_VOXEL_M, OBJECTS_VOXEL_M
 
 if TYPE_CHECKING:
     from proground_log.camera import Camera
@@ -144,7 +145,7 @@ class Run:
         pose = require_rigid(world_from_camera, where="world_from_camera")
         return self.map.render(camera or self.log.calibration.depth.pinhole(), pose)
 
-    def mesh(self, voxel_m: float = 0.02) -> Mesh:
+    def mesh(self, voxel_m: float = LOOK_VOXEL_M) -> Mesh:
         """The surface as triangles: `vertices_m`, `faces`, `normals` and `colors`.
 
         Args:
@@ -155,14 +156,14 @@ class Run:
         """
         return self._surfaces.at(voxel_m).mesh
 
-    def surface(self, voxel_m: float = 0.03) -> Surface:
+    def surface(self, voxel_m: float = OBJECTS_VOXEL_M) -> Surface:
         """The surface with what is up; of a map with meaning it can be asked (`ask`, `objects`).
 
         Arguments and errors as for `mesh`; asking it is an error if the log is another.
         """
         return self._surfaces.at(voxel_m)
 
-    def objects(self, voxel_m: float = 0.03) -> list[SceneObject]:
+    def objects(self, voxel_m: float = OBJECTS_VOXEL_M) -> list[SceneObject]:
         """What stands there: of each object its label, position, extent, score, box, `vertices` of
         `mesh(voxel_m)`, and `views`: frames in which the detector found it (None where no log has
         what it found).
@@ -177,7 +178,7 @@ class Run:
         self,
         text: str,
         *,
-        voxel_m: float = 0.03,
+        voxel_m: float = OBJECTS_VOXEL_M,
         top_k: int = 5,
         vocabulary: Path | None = None,
         text_encoder: Path | None = None,
@@ -207,7 +208,7 @@ class Run:
         goal: str | tuple[float, float],
         *,
         robot: Robot | None = None,
-        voxel_m: float = 0.03,
+        voxel_m: float = OBJECTS_VOXEL_M,
     ) -> Journey:
         """A way across the floor that a robot can drive: `route`, the floor's `plan`, and more.
 

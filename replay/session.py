@@ -241,23 +241,20 @@ def _manifest_to_resume(
         )
     manifest = Manifest.read(run.manifest)
     manifest.require_repeatable(run.path)
-    if config not in (ReplayConfig(), manifest.config):
+    given = replace(
+        manifest,
+        log_sha256=file_sha256(log_path),
+        config=manifest.config if config == ReplayConfig() else config,
+        perception_sha256=fingerprint(perception),
+    )
+    for what in manifest.differences(given):
         raise ProgroundError(
-            "the options differ from those that the run was started with",
-            where=run.path,
-            todo="leave them out: --resume goes on with the run's own",
-        )
-    if file_sha256(log_path) != manifest.log_sha256:
-        raise ProgroundError(
-            "the log is not the one that the run was started with",
-            where=log_path,
-            todo=f"give the same log (it was {manifest.log_path})",
-        )
-    if manifest.perception_sha256 != fingerprint(perception):
-        raise ProgroundError(
-            "the perception is not the one that the run was started with",
-            where=run.path,
-            todo="give the same task and models",
+            f"the {what} {'are' if what == 'settings' else 'is'} not what the run was started with",
+            where=log_path if what == "log" else run.path,
+            todo={
+                "settings": "leave the options out: --resume goes on with the run's own",
+                "log": f"give the same log (it was {manifest.log_path})",
+            }.get(what, "give the same task and models"),
         )
     return manifest
 

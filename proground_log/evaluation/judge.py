@@ -26,7 +26,8 @@ from proground_log.log.topics import MESH_ATTACHMENT
 from proground_log.perception.map_texts import Texts, texts_for
 from proground_log.perception.texts import TextSpace
 from proground_log.query.mesh import read_ply_vertices
-from proground_log.query.surface import LOOK_VOXEL_M, OBJECTS_VOXEL_M, Surfaces
+from proground_log.query.surface import Surfaces
+from proground_log.query.voxels import LOOK_VOXEL_M, OBJECTS_VOXEL_M
 from proground_log.run.opened import OpenedRun
 
 
@@ -50,6 +51,7 @@ class Evaluation:
     """How good a map is.
 
     Args:
+        voxel_m: voxels of the mesh that was compared.
         scores: figures by name; see `view_summary`, `mesh_scores`, `score_table` and
             `object_table`.
         classes: for each class that is there its points and Top-1 in percent.
@@ -57,6 +59,7 @@ class Evaluation:
             tell objects apart or the map has no meaning.
     """
 
+    voxel_m: float = LOOK_VOXEL_M
     scores: dict[str, float] = field(default_factory=dict)
     classes: dict[str, tuple[int, float]] = field(default_factory=dict)
     instances: dict[str, InstanceCounts] = field(default_factory=dict)
@@ -64,6 +67,7 @@ class Evaluation:
     def merged(self, other: Evaluation) -> Evaluation:
         """Both together; of what both have, the other's."""
         return Evaluation(
+            self.voxel_m,
             self.scores | other.scores,
             self.classes | other.classes,
             self.instances | other.instances,
@@ -106,7 +110,7 @@ def evaluate_run(
             where=run.path,
             todo="replay with --hold-out-every 10",
         )
-    result = Evaluation()
+    result = Evaluation(voxel_m)
     if held_out:
         result = result.merged(_of_views(run, held_out, progress))
     if mesh_bytes is not None:
@@ -126,12 +130,12 @@ def _of_views(
     for sensor in run.log.frames(held_out):
         views.append(score_view(run.map, register(sensor)))
         progress(len(views), len(held_out))
-    return Evaluation(view_summary(views))
+    return Evaluation(scores=view_summary(views))
 
 
 def _of_mesh(surfaces: Surfaces, voxel_m: float, mesh_bytes: bytes) -> Evaluation:
     vertices_m = surfaces.mesh(voxel_m).vertices_m
-    return Evaluation(mesh_scores(vertices_m, read_ply_vertices(mesh_bytes)))
+    return Evaluation(scores=mesh_scores(vertices_m, read_ply_vertices(mesh_bytes)))
 
 
 def _of_objects(surfaces: Surfaces, voxel_m: float) -> Evaluation:
@@ -141,7 +145,7 @@ def _of_objects(surfaces: Surfaces, voxel_m: float) -> Evaluation:
     found = object_scores(surfaces.at(max(voxel_m, OBJECTS_VOXEL_M)))
     if found is None:
         return Evaluation()
-    return Evaluation(object_table(found), instances=found.alone.classes)
+    return Evaluation(scores=object_table(found), instances=found.alone.classes)
 
 
 def _of_labels(
@@ -150,13 +154,13 @@ def _of_labels(
     surface_m = surfaces.mesh(voxel_m).vertices_m
     top_k = semantic_scores(surfaces.run.map, points, space, surface_m)
     classes = {points.names[k]: part for k, part in top_k.per_class.items()}
-    return Evaluation(score_table(top_k), classes)
+    return Evaluation(scores=score_table(top_k), classes=classes)
 
 
 def _of_size(run: OpenedRun) -> Evaluation:
     sizes_bytes = run.map.sizes_bytes()
     parts = {f"map_mb_{part.replace(' ', '_')}": n / 1e6 for part, n in sizes_bytes.items()}
-    return Evaluation({"map_mb": sum(sizes_bytes.values()) / 1e6, **parts})
+    return Evaluation(scores={"map_mb": sum(sizes_bytes.values()) / 1e6, **parts})
 
 
 def _labelled_points(

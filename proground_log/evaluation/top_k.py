@@ -62,19 +62,6 @@ def truth_ranks(logits: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return ranks
 
 
-def top_k_accuracy(
-    logits: np.ndarray,
-    truth: np.ndarray,
-    *,
-    ks: Sequence[int] = KS,
-    distances_m: np.ndarray | None = None,
-) -> TopK:
-    """Score the logits of points; see `truth_ranks` and `accuracy_of_ranks`."""
-    return accuracy_of_ranks(
-        truth_ranks(logits, truth), truth, logits.shape[1], ks=ks, distances_m=distances_m
-    )
-
-
 def accuracy_of_ranks(
     ranks: np.ndarray,
     truth: np.ndarray,

@@ -53,9 +53,14 @@ def box_json(box: OrientedBox) -> dict[str, object]:
     }
 
 
-def rounded(vector_m: np.ndarray) -> list[float]:
+def place_text(vector_m: np.ndarray, between: str = " ") -> str:
+    """A place to the centimetre, for tables."""
+    return between.join(f"{value:.2f}" for value in rounded(vector_m, 2))
+
+
+def rounded(vector_m: np.ndarray, digits: int = 3) -> list[float]:
     """To the millimetre; adding 0 makes 0 of -0."""
-    return [round(float(value), 3) + 0.0 for value in vector_m]
+    return [round(float(value), digits) + 0.0 for value in vector_m]
 
 
 def _flat(row: dict[str, object]) -> dict[str, object]:

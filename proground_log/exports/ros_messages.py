@@ -10,9 +10,9 @@ from collections.abc import Callable
 from types import SimpleNamespace
 
 import numpy as np
-from mcap_ros2._dynamic import serialize_dynamic
 from scipy.spatial.transform import Rotation
 
+from proground_log.log import cdr
 from proground_log.log.messages import HEADER_DEFINITION, header
 from proground_log.mapping.boxes import OrientedBox
 
@@ -138,9 +138,7 @@ TEXT_M = 0.12
 
 def encoder(message_type: str) -> Callable[[object], bytes]:
     """The function that turns a message of one of these types into CDR bytes."""
-    encoders = serialize_dynamic(message_type, DEFINITIONS[message_type])
-    encode: Callable[[object], bytes] = encoders[message_type]
-    return encode
+    return cdr.encoder(message_type, DEFINITIONS[message_type])
 
 
 def point_cloud(

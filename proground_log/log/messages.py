@@ -13,10 +13,10 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from mcap_ros2._dynamic import serialize_dynamic
 
 from proground_log.camera import FISHEYE_TERMS, Camera, pose_from_quaternion, quaternion_from_pose
 from proground_log.errors import ProgroundError
+from proground_log.log import cdr
 
 _HEADER = """std_msgs/Header header
 """
@@ -121,10 +121,7 @@ _DISTORTION_MODELS = {0: "plumb_bob", 4: "equidistant", 5: "plumb_bob", 8: "rati
 
 def encoder(message_type: str) -> Callable[[object], bytes]:
     """The function that turns a message of this type into CDR bytes."""
-    encode: Callable[[object], bytes] = serialize_dynamic(message_type, DEFINITIONS[message_type])[
-        message_type
-    ]
-    return encode
+    return cdr.encoder(message_type, DEFINITIONS[message_type])
 
 
 def header(stamp_ns: int, frame_id: str) -> SimpleNamespace:

@@ -8,16 +8,16 @@ from typing import Any
 
 import cv2
 import numpy as np
-from mcap_ros2._dynamic import generate_dynamic
 
 from proground_log.encoded_image import png_is_whole
 from proground_log.errors import ProgroundError
 from proground_log.log import topics
+from proground_log.log.cdr import decoder
 from proground_log.log.messages import DEFINITIONS, REGIONS_TYPE, encoder, header
 from proground_log.regions import EMBEDDING_WIDTH, LEVELS, Regions
 
 _encode = encoder(REGIONS_TYPE)
-_decode = generate_dynamic(REGIONS_TYPE, DEFINITIONS[REGIONS_TYPE])[REGIONS_TYPE]
+_decode = decoder(REGIONS_TYPE, DEFINITIONS[REGIONS_TYPE])
 _FASTEST = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 
 

@@ -21,10 +21,6 @@ from proground_log.query.objects_of_regions import objects_of_regions
 from proground_log.query.sightings import Sightings, find_sightings
 from proground_log.run.opened import OpenedRun
 
-LOOK_VOXEL_M = 0.02
-"""Voxels of a surface to be looked at, and compared with a true one."""
-OBJECTS_VOXEL_M = 0.03
-"""Voxels of the surface whose objects are listed and judged: a cup has some fifty vertices."""
 MOST_FRAMES = 300
 """Frames, evenly spaced over those that were mapped, whose regions say what is one thing."""
 MOST_REGIONS = 4000

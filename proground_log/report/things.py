@@ -6,10 +6,12 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from proground_log.errors import ProgroundError
+from proground_log.exports.objects import place_text
 from proground_log.frame import evenly
 from proground_log.mapping.objects import SceneObject
 from proground_log.navigation.floor_plan import Robot, draw_floor_plan
-from proground_log.query.surface import OBJECTS_VOXEL_M, Surface, Surfaces
+from proground_log.query.surface import Surface, Surfaces
+from proground_log.query.voxels import OBJECTS_VOXEL_M
 from proground_log.report.figures import hex_color
 from proground_log.report.floor_chart import Outline, floor_chart
 from proground_log.report.page import Content, Note, Picture, Plan, Section, Table
@@ -43,8 +45,8 @@ def _table(objects: list[SceneObject]) -> list[Content]:
     rows = [
         (
             f"{number} {thing.label}",
-            _triple(thing.position_m, "  "),
-            _triple(thing.box.extent_m, " x "),
+            place_text(thing.position_m, "  "),
+            place_text(thing.box.extent_m, " x "),
             f"{thing.score:.2f}",
             "" if thing.views is None else str(thing.views),
         )
@@ -84,8 +86,3 @@ def _plan(surface: Surface, objects: list[SceneObject]) -> list[Content]:
         f"above the floor; cells of {100 * plan.cell_m:g} cm. Numbers are those of the objects."
     )
     return [Plan(Picture(title, uri))]
-
-
-def _triple(vector_m: np.ndarray, between: str) -> str:
-    """To the centimetre; adding 0 makes 0 of -0."""
-    return between.join(f"{round(float(value), 2) + 0.0:.2f}" for value in vector_m)

@@ -39,6 +39,11 @@ class RunFolder:
         return self.path / "telemetry.rrd"
 
     @property
+    def evaluation(self) -> Path:
+        """How good its map was found to be, the last time that somebody judged it."""
+        return self.path / "evaluation.json"
+
+    @property
     def checkpoint(self) -> Path:
         return self.path / "checkpoint.safetensors"
 
@@ -97,9 +102,10 @@ class RunFolder:
 
     def clear(self) -> None:
         """Remove every file of a run, finished or not."""
-        known = [self.manifest, self.ledger, self.map, self.telemetry, self.checkpoint]
+        known = [self.manifest, self.ledger, self.map, self.telemetry, self.evaluation]
+        known += [self.checkpoint, self.partial_ledger]
         kept = self.kept_checkpoints().values()
-        for file in [*known, self.partial_ledger, *self.telemetry_segments(), *kept]:
+        for file in [*known, *self.telemetry_segments(), *kept]:
             file.unlink(missing_ok=True)
         if self.checkpoints.is_dir() and not any(self.checkpoints.iterdir()):
             self.checkpoints.rmdir()

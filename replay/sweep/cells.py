@@ -14,7 +14,6 @@ from typing import Any, Protocol
 
 from proground_log.errors import ProgroundError
 from proground_log.evaluation.judge import evaluate_run
-from proground_log.files import written_whole
 from proground_log.log.reader import LogReader
 from proground_log.log.topics import MESH_ATTACHMENT
 from proground_log.perception.description import PerceptionDescription
@@ -22,6 +21,7 @@ from proground_log.perception.map_texts import Texts
 from proground_log.perception.of_log import perception_of
 from proground_log.perception.perceiver import Perceiver
 from proground_log.query.surface import Surfaces
+from proground_log.query.voxels import LOOK_VOXEL_M
 from proground_log.run.cost_model import CostModel
 from proground_log.run.folder import RunFolder
 from proground_log.run.manifest import Manifest
@@ -31,8 +31,6 @@ from replay.device import choose_device
 from replay.plan import Plan
 from replay.session import ReplayStoppedError, cost_model_of, replay
 from replay.sweep.grid import Cell
-
-SCORES = "scores.json"
 
 OpenPerceiver = Callable[[LogReader], Perceiver | None]
 
@@ -46,7 +44,7 @@ class Judging:
         texts: embeddings of names that the map does not know.
     """
 
-    voxel_m: float = 0.02
+    voxel_m: float = LOOK_VOXEL_M
     texts: Texts = Texts()
 
 
@@ -178,8 +176,8 @@ def _is_replayed(run: RunFolder) -> bool:
 
 
 def _is_judged(job: Job) -> bool:
-    scores = job.folder / SCORES
-    return scores.is_file() and json.loads(scores.read_text())["voxel_m"] == job.judging.voxel_m
+    judged = RunFolder(job.folder).evaluation
+    return judged.is_file() and json.loads(judged.read_text())["voxel_m"] == job.judging.voxel_m
 
 
 def run_jobs(
@@ -240,10 +238,9 @@ def attempt(job: Job, is_stopping: Callable[[], bool]) -> str | None:
 
 
 def _replay_and_judge(job: Job, is_stopping: Callable[[], bool]) -> None:
-    run, scores = RunFolder(job.folder), job.folder / SCORES
+    run = RunFolder(job.folder)
     if not _is_replayed(run):
-        if scores.is_file():
-            scores.unlink()
+        run.evaluation.unlink(missing_ok=True)
         replay(
             job.log_path,
             job.folder,
@@ -261,10 +258,7 @@ def _replay_and_judge(job: Job, is_stopping: Callable[[], bool]) -> None:
 
     voxel_m, texts = job.judging.voxel_m, job.judging.texts
     surfaces = Surfaces(OpenedRun.finished(job.folder, job.log_path))
-    found = evaluate_run(surfaces, voxel_m, progress, texts=texts)
-    with written_whole(scores) as temporary:
-        content = {"voxel_m": voxel_m, "scores": found.scores, "classes": found.classes}
-        temporary.write_text(json.dumps(content, indent=2) + "\n")
+    evaluate_run(surfaces, voxel_m, progress, texts=texts).write(run.evaluation)
 
 
 @dataclass(frozen=True)
@@ -288,5 +282,5 @@ def read_result(output: Path, cell: Cell, error: str | None) -> Result:
     summary = Manifest.read(RunFolder(folder).manifest).result or {}
     counts = ("frames arrived", "frames mapped", "frames dropped", "frames held out", "steps")
     figures: dict[str, Any] = {name.replace(" ", "_"): summary[name] for name in counts}
-    figures |= json.loads((folder / SCORES).read_text())["scores"]
+    figures |= json.loads(RunFolder(folder).evaluation.read_text())["scores"]
     return Result(cell, figures, None)

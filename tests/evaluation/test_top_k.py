@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,12 +11,25 @@ from hypothesis import strategies as st
 
 from proground_log.errors import ProgroundError
 from proground_log.evaluation import top_k
-from proground_log.evaluation.top_k import accuracy_of_ranks, top_k_accuracy, truth_ranks
+from proground_log.evaluation.top_k import KS, TopK, accuracy_of_ranks, truth_ranks
 from proground_log.streams import stream
 
 
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 10**6), points=st.integers(1, 80), names=st.integers(1, 30))
+def top_k_accuracy(
+    logits: np.ndarray,
+    truth: np.ndarray,
+    *,
+    ks: Sequence[int] = KS,
+    distances_m: np.ndarray | None = None,
+) -> TopK:
+    """Score the logits of points; see `truth_ranks` and `accuracy_of_ranks`."""
+    return accuracy_of_ranks(
+        truth_ranks(logits, truth), truth, logits.shape[1], ks=ks, distances_m=distances_m
+    )
+
+
 def test_every_figure_is_that_of_a_slow_count(seed: int, points: int, names: int) -> None:
     draw = stream(seed, "logits")
     # Few different values, so that there are ties.

@@ -13,15 +13,14 @@ from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
 from proground_log.perception.simulated.masks import find_things
 from proground_log.perception.simulated.perceiver import (
-    LabelCounts,
     SimulatedPerception,
-    count_labels,
 )
 from proground_log.perception.task import Task
 from proground_log.regions import Regions
 from recorders.room import RoomSource
 from recorders.room.scene import CLASSES, LABEL_NAMES, LABELS
 from recorders.room.source import CAMERA
+from tests.perception.label_counts import LabelCounts, count_labels
 
 PROMPTS = tuple(c for c in CLASSES if c not in ("wall", "floor", "ceiling", "window", "door"))
 TASK = Task("room", PROMPTS)

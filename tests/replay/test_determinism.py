@@ -262,7 +262,7 @@ def test_resume_refuses_another_log_and_other_options(room_log: Path, tmp_path: 
     run = tmp_path / "run"
     with pytest.raises(ReplayStoppedError):
         replay(room_log, run, SMALL, watchers=lambda _: [StopAfter(2)])
-    with pytest.raises(ProgroundError, match="options differ"):
+    with pytest.raises(ProgroundError, match="settings are not what the run was started with"):
         replay(room_log, run, ReplayConfig(steps=7), resume=True)
     with pytest.raises(ProgroundError, match="not the one"):
         replay(other_log(tmp_path / "other.mcap"), run, ReplayConfig(), resume=True)

@@ -217,7 +217,7 @@ def test_what_is_finished_is_left_alone(log: Path, swept: Path, tmp_path: Path) 
     output = tmp_path / "copy"
     shutil.copytree(swept, output)
     run = RunFolder(cell_folder(output, CELLS[0]))
-    scores = run.path / "scores.json"
+    scores = run.evaluation
     before = scores.read_bytes()
     scores.unlink()
     run.map.chmod(0o400)

@@ -30,6 +30,7 @@ from proground_log.perception.perceive import perceive
 from proground_log.perception.simulated.perceiver import SimulatedPerception
 from proground_log.perception.task import Task
 from proground_log.query import surface
+from proground_log.query.voxels import OBJECTS_VOXEL_M
 from proground_log.report import run_page, things, views
 from proground_log.report.page import Charts, Note, Page, Table, Views
 from proground_log.report.run_page import page_of, write_report
@@ -93,14 +94,14 @@ def rich_run(room_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def quick_verdict(monkeypatch: pytest.MonkeyPatch) -> None:
     """Judging has tests of its own and takes most of the time."""
     scores = {"psnr_db": 21.27, "ssim": 0.8764, "judged_points": 7.0}
-    verdict = Evaluation(scores, {"bed": (1200, 62.5)})
+    verdict = Evaluation(scores=scores, classes={"bed": (1200, 62.5)})
     monkeypatch.setattr(run_page, "evaluate_run", lambda *_, **__: verdict)
 
 
 @pytest.fixture(scope="module")
 def page(rich_run: Path) -> Page:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run_page, "evaluate_run", lambda *_, **__: Evaluation({}, {}))
+        patch.setattr(run_page, "evaluate_run", lambda *_, **__: Evaluation())
         return page_of(rich_run, None, silent)
 
 
@@ -131,7 +132,7 @@ def test_the_history_is_the_ledgers(rich_run: Path) -> None:
 
 def test_everything_is_read_and_made_once(rich_run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(run_page, "evaluate_run", judge.evaluate_run)
-    monkeypatch.setattr(things, "OBJECTS_VOXEL_M", surface.OBJECTS_VOXEL_M)
+    monkeypatch.setattr(things, "OBJECTS_VOXEL_M", OBJECTS_VOXEL_M)
     calls: Counter[str] = Counter()
 
     def counted(module: ModuleType, name: str) -> None:
