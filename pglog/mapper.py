@@ -15,9 +15,9 @@ FLAG = "--mapper"
 def asked_kind(words: Sequence[str]) -> str:
     """The kind that the words of a command line name, or the usual one."""
     kind = NEURAL
-    for word, following in zip(words, [*words[1:], NEURAL], strict=True):
+    for number, word in enumerate(words):
         if word == FLAG:
-            kind = following
+            kind = words[number + 1] if number + 1 < len(words) else NEURAL
         elif word.startswith(f"{FLAG}="):
             kind = word.removeprefix(f"{FLAG}=")
     return kind

@@ -19,6 +19,7 @@ from pglog.common import (
     MaybePath,
     Output,
     Run,
+    frames_watched,
     out,
     print_table,
     shown_progress,
@@ -66,7 +67,6 @@ def replay_command(
         check: with it: compare with its ledger, and stop at the first difference (exit code 1).
         overwrite: replace a run that is there.
     """
-    from pglog.progress import frames_watched
     from proground_log.log.reader import LogReader
     from replay.device import set_threads
     from replay.session import ReplayStoppedError, replay

@@ -264,7 +264,7 @@ def test_resume_refuses_another_log_and_other_options(room_log: Path, tmp_path: 
         replay(room_log, run, SMALL, watchers=lambda _: [StopAfter(2)])
     with pytest.raises(ProgroundError, match="settings are not what the run was started with"):
         replay(room_log, run, ReplayConfig(steps=7), resume=True)
-    with pytest.raises(ProgroundError, match="not the one"):
+    with pytest.raises(ProgroundError, match="log is not what"):
         replay(other_log(tmp_path / "other.mcap"), run, ReplayConfig(), resume=True)
     moved = tmp_path / "moved.mcap"
     moved.write_bytes(room_log.read_bytes())
