@@ -27,8 +27,8 @@ from tests.recorders import test_ros1_bag as ros1_bag
 from tests.recorders import test_scannet_sens as scannet_sens
 from tests.recorders import test_scannetpp as scannetpp
 from tests.recorders import test_tum as tum
-from tests.ros_bags import room_messages, write_mcap
-from tests.small_source import CAMERA, SmallSource, write_log
+from tests.writers.ros_bags import room_messages, write_mcap
+from tests.writers.small_source import CAMERA, SmallSource, write_log
 
 FRAMES = 3
 
