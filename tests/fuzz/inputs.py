@@ -17,7 +17,7 @@ from mcap.writer import CompressionType
 from proground_log.camera import Camera
 from proground_log.frame import SensorFrame
 from recorders.formats.scannetpp_depth import HEIGHT, WIDTH
-from tests.evaluation.test_label_lists import ply
+from tests.evaluation.labelled_ply import ply
 from tests.recorders import test_arkitscenes as arkitscenes
 from tests.recorders import test_colmap as colmap
 from tests.recorders import test_nerfstudio as nerfstudio

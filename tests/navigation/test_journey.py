@@ -24,7 +24,7 @@ from proground_log.perception.simulated.perceiver import SimulatedPerception
 from proground_log.telemetry.path_recording import draw_journey
 from recorders.room import RoomSource
 from replay.session import replay
-from tests.query.test_ask import CONFIG, TASK, without_log
+from tests.query.asked_room import CONFIG, TASK, without_log
 from tests.runs import navigate_run, surface_of_run
 
 VOXEL_M = 0.06

@@ -16,15 +16,8 @@ from PIL import Image
 
 from pglog.query import query_command
 from proground_log.errors import ProgroundError
-from proground_log.field.config import FieldConfig
 from proground_log.log.reader import LogReader
 from proground_log.mapping.map_file import load_map
-from proground_log.mapping.neural.config import (
-    BufferConfig,
-    NeuralConfig,
-    SamplingConfig,
-    SemanticsConfig,
-)
 from proground_log.mapping.neural.grounding import vertex_logits
 from proground_log.mapping.neural.neural_map import NeuralMap
 from proground_log.mapping.objects import SceneObject
@@ -33,7 +26,6 @@ from proground_log.perception.map_texts import Texts
 from proground_log.perception.onnx.image_encoder import SIDE, pixel_values
 from proground_log.perception.perceive import perceive
 from proground_log.perception.simulated.perceiver import SimulatedPerception
-from proground_log.perception.task import Task
 from proground_log.query.ask import NOT_MARGIN, Answer
 from proground_log.query.grounding import MARGIN
 from proground_log.query.image_query import ImageQuery, background_crops
@@ -41,26 +33,14 @@ from proground_log.query.sightings import LEAST_AREA_M2
 from proground_log.query.surface import Surface
 from proground_log.regions import EMBEDDING_WIDTH
 from proground_log.run.folder import RunFolder
-from proground_log.run.manifest import Manifest
-from proground_log.run.settings import ReplayConfig, TelemetryConfig
 from proground_log.streams import stream
 from recorders.room import RoomSource
 from replay.session import replay
+from tests.query.asked_room import CONFIG, TASK, without_log
 from tests.runs import query_run
 from tests.telemetry.telemetry_cells import rows_of
 
 VOXEL_M = 0.06
-TASK = Task("living", ("sofa", "bed", "table", "chair", "cabinet"), ("rug", "picture"))
-CONFIG = ReplayConfig(
-    steps=15,
-    mapper=NeuralConfig(
-        field=FieldConfig(log2_rows=14, levels=8, voxel_m=0.05),
-        sampling=SamplingConfig(rays=256, uniform=12, near_surface=7),
-        semantics=SemanticsConfig(rays=96, background_rays=48, samples=5),
-        buffer=BufferConfig(capacity=60_000, keyframe_samples=5000),
-    ),
-    telemetry=TelemetryConfig(enabled=False),
-)
 
 
 @pytest.fixture(scope="module")
@@ -103,14 +83,6 @@ def size(thing: SceneObject) -> int:
 def answer_of(run: Path, text: str) -> Answer:
     _, (answer,) = query_run(run, [text], VOXEL_M, 5)
     return answer
-
-
-def without_log(run: Path, folder: Path) -> Path:
-    """A copy of a run whose log has gone."""
-    shutil.copytree(run, folder / "run")
-    manifest = Manifest.read(RunFolder(run).manifest)
-    replace(manifest, log_path="/nowhere.mcap").write(RunFolder(folder / "run").manifest)
-    return folder / "run"
 
 
 def distance_m(point_m: np.ndarray, class_name: str) -> float:

@@ -30,7 +30,7 @@ from proground_log.run.manifest import Manifest
 from proground_log.run.opened import OpenedRun
 from recorders.room import RoomSource
 from replay.session import replay
-from tests.query.test_ask import CONFIG, TASK, without_log
+from tests.query.asked_room import CONFIG, TASK, without_log
 from tests.runs import surface_of_run
 
 VOXEL_M = 0.06

@@ -19,7 +19,7 @@ from proground_log.mapping.neural.online_mapper import OnlineMapper
 from proground_log.perception.of_log import perception_of
 from proground_log.run.settings import ReplayConfig, SimulationConfig, TelemetryConfig
 from replay.session import replay
-from tests.mapping.neural.test_online_mapper import BOUNDS, wall_frame
+from tests.mapping.neural.wall import BOUNDS, wall_frame
 from tests.regions import write_perceived_log
 
 SMALL = NeuralConfig(

@@ -8,37 +8,20 @@ import numpy as np
 import pytest
 import torch
 
-from proground_log.bounds import Bounds
 from proground_log.camera import Camera
 from proground_log.field.config import FieldConfig
-from proground_log.frame import Frame
 from proground_log.mapping.map_file import load_map, save_map
 from proground_log.mapping.neural.config import BufferConfig, NeuralConfig, SamplingConfig
 from proground_log.mapping.neural.neural_map import NeuralMap
 from proground_log.mapping.neural.online_mapper import OnlineMapper
 from proground_log.query.mesh import extract_mesh
+from tests.mapping.neural.wall import BOUNDS, CAMERA, WALL_M, wall_frame
 
-CAMERA = Camera(40, 30, 30.0, 30.0, 20.0, 15.0)
-BOUNDS = Bounds((-2.0, -1.5, 0.0), (2.0, 1.5, 2.5))
-WALL_M = 2.0
 CONFIG = NeuralConfig(
     field=FieldConfig(log2_rows=12, levels=8, voxel_m=0.05),
     sampling=SamplingConfig(rays=256, uniform=12, near_surface=7),
     buffer=BufferConfig(capacity=2000, keyframe_samples=300),
 )
-
-
-def wall_frame(index: int, shift_m: float = 0.0) -> Frame:
-    """Red left of x = 0, green right of it; the camera looks along z from (shift, 0, 0)."""
-    pose = np.eye(4)
-    pose[0, 3] = shift_m
-    x_m = CAMERA.directions[..., 0] * WALL_M + shift_m
-    color = np.zeros((30, 40, 3), np.uint8)
-    color[x_m < 0, 0] = 200
-    color[x_m >= 0, 1] = 200
-    depth_m = np.full((30, 40), WALL_M, np.float32)
-    valid = np.ones((30, 40), bool)
-    return Frame(index, index * 10**8, CAMERA, pose, depth_m, color, valid, None)
 
 
 def mapped(config: NeuralConfig = CONFIG, *, seed: int = 0, frames: int = 6) -> OnlineMapper:

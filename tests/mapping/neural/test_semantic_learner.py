@@ -31,7 +31,7 @@ from proground_log.regions import Regions
 from proground_log.run.settings import TelemetryConfig
 from proground_log.streams import stream
 from proground_log.telemetry.pictures import Pictures
-from tests.mapping.neural.test_online_mapper import BOUNDS, CAMERA, WALL_M, wall_frame
+from tests.mapping.neural.wall import BOUNDS, CAMERA, WALL_M, wall_frame
 
 CONFIG = NeuralConfig(
     field=FieldConfig(log2_rows=12, levels=8, voxel_m=0.05),

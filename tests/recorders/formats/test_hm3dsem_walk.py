@@ -13,27 +13,9 @@ from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
 from recorders.formats.hm3dsem_walk import Hm3dsemWalkSource, recognise
 from recorders.room import RoomSource
-from tests.recorders.formats.test_scannet import with_things
 from tests.round_trip import assert_round_trip
-
-SCENE = "Dd4bFSTQ8gi"
-
-
-def write_walk(walk: Path, frames: Sequence[SensorFrame], *, truth: bool = True) -> Path:
-    """Write frames of the room as HOV-SG's script renders a walk; colour is PNG there."""
-    for name in ("rgb", "depth", "pose", *(("semantic",) if truth else ())):
-        (walk / name).mkdir(parents=True)
-    for number, frame in enumerate(frames):
-        name = f"{SCENE}_{number:06}"
-        cv2.imwrite(str(walk / f"rgb/{name}.png"), frame.decode_color()[..., ::-1])
-        cv2.imwrite(str(walk / f"depth/{name}.png"), frame.depth)
-        pose = frame.world_from_camera.copy()
-        pose[:, 1:3] *= -1
-        (walk / f"pose/{name}.txt").write_text("\t".join(str(x) for x in pose.flatten()) + "\n")
-        if truth:
-            assert frame.instances is not None
-            np.save(walk / f"semantic/{name}.npy", frame.instances.astype(np.uint32))
-    return walk
+from tests.writers.hm3dsem_walk import SCENE, write_walk
+from tests.writers.scannet import with_things
 
 
 def category_of(frames: Sequence[SensorFrame], room: RoomSource) -> dict[int, str]:

@@ -3,35 +3,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
-from proground_log.camera import Calibration, Camera, quaternion_from_pose, transform
+from proground_log.camera import Calibration, Camera, transform
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
 from recorders.formats.icl_nuim import IclNuimSource, recognise
 from recorders.formats.tum import recognise as recognise_tum
 from recorders.room.source import CAMERA
 from tests.round_trip import assert_round_trip
+from tests.writers.icl_nuim import freiburg, published, write_trajectory
 
 CALIBRATION = Calibration.registered(CAMERA)
-MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 DEPTH_ATOL_M = 1e-6  # 5000 units a metre hold millimetres.
-
-
-def published(frame: SensorFrame) -> np.ndarray:
-    """The pose that ICL-NUIM's renderer would have had: y up in camera and world."""
-    return MIRROR @ frame.world_from_camera @ MIRROR
-
-
-def freiburg(frames: list[SensorFrame], first: int) -> str:
-    lines = []
-    for number, frame in enumerate(frames, start=first):
-        pose = published(frame)
-        numbers = [*pose[:3, 3], *quaternion_from_pose(pose)]
-        lines.append(" ".join([str(number), *(repr(float(x)) for x in numbers)]))
-    return "\n".join(lines) + "\n"
 
 
 def sim(frames: list[SensorFrame]) -> str:
@@ -40,20 +25,6 @@ def sim(frames: list[SensorFrame]) -> str:
         for frame in frames
     ]
     return "\n\n".join(blocks) + "\n"
-
-
-def write_trajectory(folder: Path, frames: list[SensorFrame]) -> None:
-    """Write frames 0, 1, ... of which the first lacks a pose, as the living room's do."""
-    (folder / "rgb").mkdir(parents=True)
-    (folder / "depth").mkdir()
-    for number, frame in enumerate(frames):
-        # The archives have PNG; the recorder keeps whatever bytes there are.
-        (folder / f"rgb/{number}.png").write_bytes(frame.color)
-        cv2.imwrite(str(folder / f"depth/{number}.png"), frame.depth * np.uint16(5))
-    lines = [f"{n} depth/{n}.png {n} rgb/{n}.png" for n in range(len(frames))]
-    # Order is by number: 10 after 9, and whatever the lines' order.
-    (folder / "associations.txt").write_text("\n".join(reversed(lines)) + "\n")
-    (folder / "livingRoom2.gt.freiburg").write_text(freiburg(frames[1:], first=1))
 
 
 def test_the_room_comes_back_from_its_mirrored_world(

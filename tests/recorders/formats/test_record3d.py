@@ -1,18 +1,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
-from zipfile import ZIP_BZIP2, ZIP_DEFLATED, ZipFile, ZipInfo
+from zipfile import ZIP_BZIP2, ZIP_DEFLATED, ZipFile
 
 import cv2
 import numpy as np
 import pytest
 
-from proground_log.camera import Calibration, Camera, quaternion_from_pose
+from proground_log.camera import Calibration, Camera
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
 from recorders.formats.record3d import Record3dSource, recognise
@@ -20,47 +20,10 @@ from recorders.reading import lzfse_decode
 from recorders.room import RoomSource
 from recorders.source import Source
 from tests.round_trip import assert_round_trip
+from tests.writers.record3d import lzfse, members_of, metadata_of, write_zip
 
-lzfse = pytest.importorskip("lzfse")
-
-OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 SECONDS = ("0", "0.016666667", "0.0333333329", "0.05", "0.1", "0.125")
 WIDTH, HEIGHT = 320, 240
-
-
-def metadata_of(frames: Sequence[SensorFrame], camera: Camera) -> dict[str, Any]:
-    """The metadata of a recording, by the description in Record3D's issues 27, 33, 83 and 99."""
-    poses = [frame.world_from_camera @ OPENGL_FROM_OPENCV for frame in frames]
-    return {
-        "w": camera.width,
-        "h": camera.height,
-        "dw": frames[0].depth.shape[1],
-        "dh": frames[0].depth.shape[0],
-        "fps": 60,
-        "K": [camera.fx, 0, 0, 0, camera.fy, 0, camera.cx, camera.cy, 1],
-        "poses": [[*quaternion_from_pose(p).tolist(), *p[:3, 3].tolist()] for p in poses],
-        "initPose": [0, 0, 0, 1, 0, 0, 0],
-    }
-
-
-def members_of(frames: Sequence[SensorFrame]) -> dict[str, bytes]:
-    members = {"icon": b"thumbnail"}
-    for number, frame in enumerate(frames):
-        depth_m = np.ascontiguousarray(frame.depth_m, dtype="<f4")
-        members[f"rgbd/{number}.jpg"] = frame.color
-        members[f"rgbd/{number}.depth"] = lzfse.compress(depth_m.tobytes())
-        members[f"rgbd/{number}.conf"] = lzfse.compress(bytes([2]) * depth_m.size)
-    return members
-
-
-def write_zip(path: Path, members: dict[str, bytes], metadata: Any) -> Path:
-    with ZipFile(path, "w") as archive:
-        # Record3D's own order: whatever comes first, numbers decide.
-        for name, data in sorted(members.items(), reverse=True):
-            archive.writestr(ZipInfo(name), data)
-        text = metadata if isinstance(metadata, str) else json.dumps(metadata)
-        archive.writestr(ZipInfo("metadata"), text)
-    return path
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -17,9 +16,8 @@ from recorders.formats.replica_semantic import ReplicaSemanticSource, recognise
 from recorders.reading.images import encoded_png
 from recorders.room import RoomSource
 from tests.round_trip import assert_round_trip
+from tests.writers.replica_semantic import FIRST, semantic_frame, write_sequence
 
-FIRST = 7
-"""The number of the first frame: six from here are out of order as text."""
 PLY = (
     b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
     b"property float z\nproperty ushort label\nelement face 0\n"
@@ -31,46 +29,9 @@ FACES_ONLY = PLY.replace(b"property ushort label\n", b"").replace(
 )
 
 
-def semantic_frame(frame: SensorFrame) -> SensorFrame:
-    """The frame as this layout has it: PNG, and things with numbers of their own."""
-    assert frame.labels is not None
-    return replace(
-        frame,
-        color=encoded_png(frame.decode_color()),
-        color_format="png",
-        instances=np.where(frame.labels == 0, 0, frame.labels + 300).astype(np.uint16),
-    )
-
-
 @pytest.fixture(scope="module")
 def frames(room_frames: list[SensorFrame]) -> list[SensorFrame]:
     return [semantic_frame(frame) for frame in room_frames]
-
-
-def write_sequence(folder: Path, frames: list[SensorFrame], names: dict[int, str]) -> Path:
-    for name in ("rgb", "depth", "semantic_class", "semantic_instance"):
-        (folder / name).mkdir(parents=True)
-    poses = [np.eye(4)] * FIRST
-    for number, frame in enumerate(frames, start=FIRST):
-        (folder / f"rgb/rgb_{number}.png").write_bytes(frame.color)
-        for name, pixels in (
-            ("depth/depth", frame.depth),
-            ("semantic_class/semantic_class", frame.labels),
-            ("semantic_instance/semantic_instance", frame.instances),
-        ):
-            assert pixels is not None
-            assert cv2.imwrite(str(folder / f"{name}_{number}.png"), pixels)
-        (folder / f"semantic_class/vis_sem_class_{number}.png").write_bytes(frame.color)
-        poses.append(frame.world_from_camera)
-    rows = [" ".join(repr(float(x)) for x in pose.ravel()) for pose in poses]
-    (folder / "traj_w_c.txt").write_text("\n".join(rows) + "\n")
-    info = {
-        "classes": [{"id": -1, "name": "undefined"}]
-        + [{"id": label, "name": name} for label, name in names.items()],
-        "id_to_label": [-1] * 301 + list(range(1, max(names) + 1)) + [-2],
-    }
-    (folder / "info_semantic.json").write_text(json.dumps(info))
-    return folder
 
 
 @pytest.fixture

@@ -8,15 +8,14 @@ import cv2
 import numpy as np
 import pytest
 
-from proground_log.camera import Calibration, Camera, quaternion_from_pose, transform
+from proground_log.camera import Calibration, quaternion_from_pose, transform
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
 from recorders.formats.tum import TumSource, recognise
 from recorders.room.source import CAMERA as ROOM_CAMERA
 from tests.round_trip import assert_round_trip
+from tests.writers.tum import CALIBRATION
 
-CAMERA = Camera(32, 24, 30.0, 30.0, 16.0, 12.0)
-CALIBRATION = Calibration.registered(CAMERA)
 DEPTH_STAMPS = ("100.000000", "100.100000", "100.200000", "100.300001")
 COLOR_STAMPS = ("99.995", "100.110", "100.190", "100.310")
 GROUND_TRUTH = """# time tx ty tz qx qy qz qw

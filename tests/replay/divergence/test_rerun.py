@@ -26,7 +26,7 @@ from replay.divergence.rerun import Excerpt, rerun, state_after
 from replay.session import replay
 from tests.replay.divergence.ledger_edits import Entry, edited_run
 from tests.replay.golden import COST, SMALL, perceiver_of
-from tests.replay.test_determinism import ledger_bytes
+from tests.replay.small_replay import ledger_bytes
 
 TINY = replace(
     SMALL,

@@ -37,7 +37,7 @@ from replay.sweep.grid import Cell, grid, read_axes, read_budgets, read_seeds
 from replay.sweep.local import LocalEngine
 from replay.sweep.report import draw, errors_of, table_rows, write_tables
 from tests.replay.golden import SMALL
-from tests.replay.test_determinism import SMALL_FLAGS, ledger_bytes
+from tests.replay.small_replay import SMALL_FLAGS, ledger_bytes
 from tests.writers.small_source import SmallSource, write_log
 
 SWEPT = replace(SMALL, telemetry=TelemetryConfig(enabled=False))
