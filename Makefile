@@ -14,7 +14,7 @@ $(1)/bin/python -m pip install --quiet --upgrade pip
 $(1)/bin/python -m pip install --quiet $(2)
 endef
 
-.PHONY: help demo setup lint style types layers test test-all test-oldest test-newest test-wheel
+.PHONY: help demo setup lint style format types layers test test-all test-oldest test-newest test-wheel
 .PHONY: test-gpu wheel check-tag notes fuzz architecture bench clean
 
 help: ## what can be made
@@ -54,6 +54,10 @@ style: setup ## ruff, style and format
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
+format: setup ## ruff again, which mends what it can
+	$(BIN)/ruff check --quiet --fix-only .
+	$(BIN)/ruff format .
+
 types: setup ## mypy, strict
 	$(BIN)/mypy
 
@@ -74,10 +78,9 @@ check-tag: ## whether TAG=v1.2.3 is the version of the code, and stands in the c
 	test "$(TAG)" = "v$(VERSION)"
 	grep -q '^## \[$(VERSION)\] - ' CHANGELOG.md
 
-notes: ## what the changelog says of this version, in dist/notes.md
-	mkdir -p dist
-	awk '/^## /{p = index($$0, "## [$(VERSION)]") == 1; next} p' CHANGELOG.md > dist/notes.md
-	test -s dist/notes.md
+notes: ## what the changelog says of this version, in release-notes.md
+	awk '/^## /{p = index($$0, "## [$(VERSION)]") == 1; next} p' CHANGELOG.md > release-notes.md
+	test -s release-notes.md
 
 clean: ## remove what was built, the virtual environments too
 	rm -rf dist .venv $(OLDEST) $(NEWEST)

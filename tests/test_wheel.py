@@ -25,6 +25,8 @@ SMALL = (
     *("--mapper.buffer.keyframe-samples", 500),
     "--telemetry.no-enabled",
 )
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+"""Threads that wait for each other take many times as long on a busy machine."""
 
 
 def outside(python: Path, *arguments: object, cwd: Path) -> str:
@@ -34,7 +36,7 @@ def outside(python: Path, *arguments: object, cwd: Path) -> str:
     done = subprocess.run(
         [str(python), *map(str, arguments)],
         cwd=cwd,
-        env={**environment, "COLUMNS": "100"},
+        env={**environment, **ONE_THREAD, "COLUMNS": "100"},
         capture_output=True,
         text=True,
     )
