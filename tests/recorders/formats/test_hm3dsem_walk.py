@@ -104,7 +104,7 @@ def test_a_frame_without_a_pose_is_left_out(walk: Path) -> None:
     assert [source.frame(i).stamp_ns for i in range(2)] == [0, 2 * 10**9 // 5]
     for path in (walk / "pose").iterdir():
         path.write_text("inf\t" * 16)
-    with pytest.raises(ProgroundError, match=r"pose: none of the 6 frames has a pose"):
+    with pytest.raises(ProgroundError, match=r"depth: none of the 6 frames has a pose"):
         Hm3dsemWalkSource(walk)
 
 
@@ -188,5 +188,5 @@ def test_other_paths_are_not_recognised(tmp_path: Path, walk: Path) -> None:
     for path in (walk / "pose").iterdir():
         path.rename(path.with_name(path.name.replace(SCENE, "frame")))
     assert recognise(walk) is None
-    with pytest.raises(ProgroundError, match="depth: no such folder"):
+    with pytest.raises(ProgroundError, match="pose: no such folder"):
         Hm3dsemWalkSource(tmp_path)

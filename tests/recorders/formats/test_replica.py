@@ -90,7 +90,7 @@ def test_empty_folders_are_named(tmp_path: Path) -> None:
     write_scene(tmp_path)
     for path in (tmp_path / "results").iterdir():
         path.unlink()
-    with pytest.raises(ProgroundError, match=r"results: has no depth\*\.png"):
+    with pytest.raises(ProgroundError, match=r"results: has no images such as depth000000\.png"):
         ReplicaSource(tmp_path)
 
 
@@ -120,9 +120,8 @@ def test_a_broken_pose_is_named_by_its_line(tmp_path: Path, row: str, message: s
     write_scene(tmp_path)
     lines = (tmp_path / "traj.txt").read_text().splitlines()
     (tmp_path / "traj.txt").write_text("\n".join([*lines[:2], row, *lines[3:]]))
-    source = ReplicaSource(tmp_path)
     with pytest.raises(ProgroundError, match=rf"traj\.txt:3: .*{message}"):
-        source.frame(1)
+        ReplicaSource(tmp_path)
 
 
 @pytest.mark.parametrize("name", ["results/frame000002.jpg", "results/depth000002.png"])

@@ -121,7 +121,7 @@ def test_frames_that_lost_tracking_are_left_out(
 def test_without_any_pose(tmp_path: Path, room: RoomSource, room_frames: list[SensorFrame]) -> None:
     lost = [replace(frame, world_from_camera=LOST) for frame in room_frames]
     scene = write_scene(tmp_path / "scene", room, lost, truth=False)
-    with pytest.raises(ProgroundError, match=r"pose: none of the 6 frames has a pose"):
+    with pytest.raises(ProgroundError, match=r"depth: none of the 6 frames has a pose"):
         ScannetSource(scene)
 
 
@@ -198,5 +198,5 @@ def test_other_paths_are_not_recognised(tmp_path: Path, scene: Path) -> None:
     (tmp_path / "file").write_text("x")
     for path in (scene, tmp_path, tmp_path / "file", tmp_path / "none", tmp_path / "nul\0"):
         assert recognise(path) is None
-    with pytest.raises(ProgroundError, match="depth: no such folder"):
+    with pytest.raises(ProgroundError, match="pose: no such folder"):
         ScannetSource(tmp_path)
