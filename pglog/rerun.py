@@ -12,8 +12,6 @@ from pglog.common import (
     DIFFERENT,
     SAME,
     STOPPED,
-    MaybeInt,
-    MaybePath,
     Output,
     Run,
 )
@@ -30,13 +28,13 @@ def rerun_command(
     *,
     output: Output,
     check: bool = False,
-    log: MaybePath = None,
+    log: Path | None = None,
     perception: Annotated[PerceptionOptions, tyro.conf.arg(name="")] = PerceptionOptions(),
-    threads: MaybeInt = None,
-    start: MaybePath = None,
-    until_frame: MaybeInt = None,
-    until_step: MaybeInt = None,
-    keep_every: MaybeInt = None,
+    threads: int | None = None,
+    start: Path | None = None,
+    until_frame: int | None = None,
+    until_step: int | None = None,
+    keep_every: int | None = None,
     overwrite: bool = False,
 ) -> int:
     """Make a run again from its manifest: the same log, settings and cost model.
