@@ -6,13 +6,11 @@ import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Literal
 
-import tyro
 from rich.table import Column, Table
 
-from pglog.common import SAME, Log, MaybeInt, Output, out, shown_progress
-from proground_log.errors import ProgroundError
+from pglog.common import SAME, Log, Output, out, shown_progress
 from proground_log.run.settings import ReplayConfig
 
 if TYPE_CHECKING:
@@ -26,10 +24,10 @@ def ablate_command(
     log: Log,
     *,
     output: Output,
-    table: Annotated[int, tyro.conf.arg(metavar="2|3|4")],
+    table: Literal[2, 3, 4],
     seeds: int = 5,
     steps: int = 10,
-    threads: MaybeInt = None,
+    threads: int | None = None,
 ) -> int:
     """Repeat one of the paper's ablations with the simulated detector; see docs/ablations.md.
 
@@ -58,8 +56,6 @@ def ablate_command(
     from replay.ablation.variants import run_variants
     from replay.device import set_threads
 
-    if table not in (2, 3, 4):
-        raise ProgroundError(f"there is no ablation {table}", where="--table", todo="use 2, 3 or 4")
     set_threads(threads)
     reader = LogReader(log)
     task = _task(reader)

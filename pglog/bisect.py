@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from pglog.common import DIFFERENT, SAME, AsJson, MaybeInt, MaybePath, Output, Run
+from pglog.common import DIFFERENT, SAME, AsJson, Output, Run
 from pglog.diff import print_divergence
 from pglog.rerun import perceiver_of_run
 from proground_log.errors import ProgroundError
@@ -36,11 +36,11 @@ def bisect_command(
     second: Run,
     *,
     output: Output,
-    code_a: MaybePath = None,
-    code_b: MaybePath = None,
-    log: MaybePath = None,
+    code_a: Path | None = None,
+    code_b: Path | None = None,
+    log: Path | None = None,
     perception: Annotated[PerceptionOptions, tyro.conf.arg(name="")] = PerceptionOptions(),
-    threads: MaybeInt = None,
+    threads: int | None = None,
     as_json: AsJson = False,
 ) -> int:
     """Find the first step after which two runs' states differ, and in which tensors.

@@ -14,8 +14,6 @@ from rich.table import Column, Table
 from pglog.common import (
     SAME,
     AsJson,
-    MaybeInt,
-    MaybePath,
     Output,
     out,
     shown_progress,
@@ -33,12 +31,12 @@ if TYPE_CHECKING:
 def calibrate_command(
     *,
     output: Output,
-    name: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None,
+    name: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
     mapper: Annotated[str, tyro.conf.arg(metavar="KIND")] = NEURAL,
-    threads: MaybeInt = None,
-    detector: MaybePath = None,
-    segmenter: MaybePath = None,
-    vocabulary: MaybePath = None,
+    threads: int | None = None,
+    detector: Path | None = None,
+    segmenter: Path | None = None,
+    vocabulary: Path | None = None,
     as_json: AsJson = False,
     overwrite: bool = False,
 ) -> int:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import tyro
 
@@ -31,8 +31,8 @@ from pglog import (
     sweep,
     view,
 )
-from pglog.common import FAILED, SAME, STOPPED
-from pglog.mapper import asked_kind, with_settings_of
+from pglog.common import FAILED, REGISTRY, SAME, STOPPED
+from pglog.mapper import Call, as_parsed, asked_kind
 from proground_log.errors import ProgroundError
 from proground_log.version import __version__
 
@@ -65,11 +65,23 @@ def app_of(kind: str) -> tyro.extras.SubcommandApp:
     """All commands, those with settings with those of a kind of mapper."""
     app = tyro.extras.SubcommandApp()
     for name, command in COMMANDS.items():
-        app.command(name=name)(with_settings_of(command, kind))
+        app.command(name=name)(as_parsed(command, kind))
     vocabulary = tyro.extras.SubcommandApp()
-    vocabulary.command(name="build")(perception.vocabulary_build_command)
+    vocabulary.command(name="build")(as_parsed(perception.vocabulary_build_command, kind))
     app.command(vocabulary, name="vocabulary", help="Make files of text embeddings.")
     return app
+
+
+def parsed(words: Sequence[str]) -> Call:
+    """What a command line asks for, to be called."""
+    call: Call = app_of(asked_kind(words)).cli(
+        args=words,
+        prog="pglog",
+        description="Map RGB-D logs online, offline: record, replay, compare, look.",
+        config=(tyro.conf.FlagCreatePairsOff, tyro.conf.PositionalMetavarFromFieldName),
+        registry=REGISTRY,
+    )
+    return call
 
 
 def main() -> None:
@@ -78,11 +90,7 @@ def main() -> None:
         print(f"proground-log {__version__}")
         sys.exit(SAME)
     try:
-        code = app_of(asked_kind(sys.argv[1:])).cli(
-            prog="pglog",
-            description="Map RGB-D logs online, offline: record, replay, compare, look.",
-            config=(tyro.conf.FlagCreatePairsOff,),
-        )
+        code = parsed(sys.argv[1:])()
     except ProgroundError as error:
         print(f"pglog: {error}", file=sys.stderr)
         code = FAILED

@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from types import UnionType
+from typing import TYPE_CHECKING, Annotated, Any, Union, get_args
 
 import tyro
 from rich.console import Console
 from rich.table import Column, Table
 from tyro.conf import Positional
-from tyro.constructors import PrimitiveConstructorSpec
+from tyro.constructors import (
+    ConstructorRegistry,
+    PrimitiveConstructorSpec,
+    PrimitiveTypeInfo,
+    StructConstructorSpec,
+    StructFieldSpec,
+    StructTypeInfo,
+    UnsupportedTypeAnnotationError,
+)
 
 from proground_log.locations import located
 
@@ -27,34 +37,92 @@ out = Console(markup=False, emoji=False, highlight=False)
 err = Console(stderr=True)
 
 
-def _place(metavar: str) -> PrimitiveConstructorSpec[Any]:
-    """How an argument that may be a URL is read."""
+Log = Annotated[Path, Positional, tyro.conf.arg(metavar="LOG")]
+Run = Annotated[Path, Positional, tyro.conf.arg(metavar="RUN")]
+Output = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+AsJson = Annotated[bool, tyro.conf.arg(name="json")]
+
+REGISTRY = ConstructorRegistry()
+"""How arguments are read, by their types."""
+NO_DEFAULT_SHOWN = tyro.conf.arg(help_behavior_hint="")
+"""Of an argument that is nothing unless it is given: "(default: None)" says nothing."""
+
+
+@REGISTRY.primitive_rule
+def _path(kind: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
+    """A path may be a URL."""
+    if kind.type is not Path:
+        return None
     return PrimitiveConstructorSpec(
         nargs=1,
-        metavar=metavar,
+        metavar="PATH",
         instance_from_str=lambda texts: located(texts[0]),
-        is_instance=lambda value: value is None or hasattr(value, "read_bytes"),
+        is_instance=lambda value: hasattr(value, "read_bytes"),
         str_from_instance=lambda path: [str(path)],
     )
 
 
-Log = Annotated[Path, Positional, _place("LOG")]
-MaybePath = Annotated[Path | None, _place("PATH"), tyro.conf.arg(help_behavior_hint="")]
-MaybeLog = Annotated[Path | None, Positional, _place("LOG"), tyro.conf.arg(help_behavior_hint="")]
-MaybeSource = Annotated[
-    Path | None, Positional, _place("SOURCE"), tyro.conf.arg(help_behavior_hint="")
-]
-LogsAndRuns = Annotated[
-    tuple[Annotated[Path, _place("LOG|RUN")], ...],
-    Positional,
-    tyro.conf.arg(help_behavior_hint=""),
-]
-Run = Annotated[Path, Positional, tyro.conf.arg(metavar="RUN")]
-Output = Annotated[Path, tyro.conf.arg(aliases=["-o"]), _place("PATH")]
-AsJson = Annotated[bool, tyro.conf.arg(name="json")]
-MaybeInt = Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")]
-MaybeFloat = Annotated[float | None, tyro.conf.arg(metavar="FLOAT", help_behavior_hint="")]
-MaybeText = Annotated[str | None, tyro.conf.arg(metavar="TEXT", help_behavior_hint="")]
+@REGISTRY.primitive_rule
+def _text(kind: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
+    if kind.type is not str:
+        return None
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="TEXT",
+        instance_from_str=lambda texts: texts[0],
+        is_instance=lambda value: isinstance(value, str),
+        str_from_instance=lambda text: [text],
+    )
+
+
+@REGISTRY.primitive_rule
+def _optional(
+    kind: PrimitiveTypeInfo,
+) -> PrimitiveConstructorSpec[Any] | UnsupportedTypeAnnotationError | None:
+    """What may be left out is written as if it could not: None is no word of a command line."""
+    given = [each for each in get_args(kind.type) if each is not type(None)]
+    if kind.type_origin not in (Union, UnionType) or len(given) != 1:
+        return None
+    inner = PrimitiveTypeInfo.make(given[0], kind.markers)
+    spec = ConstructorRegistry.get_primitive_spec(inner)
+    if not isinstance(spec, PrimitiveConstructorSpec):
+        return spec
+    return dataclasses.replace(
+        spec,
+        is_instance=lambda value: value is None or spec.is_instance(value),
+        str_from_instance=lambda value: [] if value is None else spec.str_from_instance(value),
+    )
+
+
+class _PartsRule:
+    """Fields of settings that are nothing unless they are given: help says no default of them."""
+
+    def __init__(self) -> None:
+        self._is_asking = False
+
+    def __call__(self, kind: StructTypeInfo) -> StructConstructorSpec | None:
+        if self._is_asking or not dataclasses.is_dataclass(kind.type):
+            return None
+        self._is_asking = True  # The usual rule answers, rather than this one again.
+        try:
+            spec = ConstructorRegistry.get_struct_spec(kind)
+        finally:
+            self._is_asking = False
+        if not isinstance(spec, StructConstructorSpec):
+            return None
+        return dataclasses.replace(spec, fields=tuple(map(self._quiet, spec.fields)))
+
+    def _quiet(self, field: StructFieldSpec) -> StructFieldSpec:
+        shown: Any = quiet(field.type, field.default)
+        return dataclasses.replace(field, type=shown)
+
+
+REGISTRY.struct_rule(_PartsRule())
+
+
+def quiet(kind: Any, default: object) -> Any:
+    """The type of an argument, whose default the help leaves out where it is nothing."""
+    return Annotated[kind, NO_DEFAULT_SHOWN] if default in (None, ()) else kind
 
 
 @contextmanager

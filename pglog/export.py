@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
-import tyro
 from tyro.conf import Positional
 
-from pglog.common import SAME, MaybeFloat, MaybePath, Output, Run, err, warn
+from pglog.common import SAME, Output, Run, err, warn
 from proground_log.errors import ProgroundError
 from proground_log.query.voxels import LOOK_VOXEL_M, OBJECTS_VOXEL_M
 
@@ -18,6 +17,9 @@ if TYPE_CHECKING:
     from proground_log.exports.labels import SurfaceLabels
     from proground_log.mapping.objects import SceneObject
     from proground_log.query.surface import Surfaces
+
+
+What = Literal["mesh", "points", "openlex3d", "occupancy", "objects", "mcap"]
 
 
 @dataclass(frozen=True)
@@ -50,13 +52,13 @@ class _Export:
 
 def export_command(
     run: Run,
-    what: Annotated[str, Positional, tyro.conf.arg(metavar="WHAT")],
+    what: Annotated[What, Positional],
     *,
     output: Output,
-    voxel_m: MaybeFloat = None,
+    voxel_m: float | None = None,
     labels: bool = False,
     robot_height: float = 1.0,
-    log: MaybePath = None,
+    log: Path | None = None,
     overwrite: bool = False,
 ) -> int:
     """Write the map for other tools.
@@ -76,11 +78,7 @@ def export_command(
     from proground_log.query.surface import Surfaces
     from proground_log.run.opened import OpenedRun
 
-    export = _EXPORTS.get(what)
-    if export is None:
-        raise ProgroundError(
-            f"there is no export {what!r}", where="export", todo=f"use {', '.join(_EXPORTS)}"
-        )
+    export = _EXPORTS[what]
     if export.suffixes and output.suffix.lower() not in export.suffixes:
         wanted = " or ".join(export.suffixes)
         raise ProgroundError(
@@ -192,7 +190,7 @@ def _labelled(request: _Request) -> tuple[list[SceneObject], SurfaceLabels]:
     return objects, label_surface(vertices, objects, surface.description.task)
 
 
-_EXPORTS = {
+_EXPORTS: dict[What, _Export] = {
     "mesh": _Export(_mesh, (".ply", ".glb"), LOOK_VOXEL_M),
     "points": _Export(_points, (".ply",), LOOK_VOXEL_M),
     "openlex3d": _Export(_openlex3d, (), 0.05, _openlex3d_files),

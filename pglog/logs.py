@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from pathlib import Path
 
 from rich.table import Column, Table
 
@@ -12,7 +13,6 @@ from pglog.common import (
     SAME,
     AsJson,
     Log,
-    MaybePath,
     out,
     print_table,
     shown_progress,
@@ -20,7 +20,7 @@ from pglog.common import (
 
 
 def info_command(
-    log: Log, *, sheet: MaybePath = None, as_json: AsJson = False, overwrite: bool = False
+    log: Log, *, sheet: Path | None = None, as_json: AsJson = False, overwrite: bool = False
 ) -> int:
     """Say what is in a log.
 

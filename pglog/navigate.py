@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from pglog.common import SAME, AsJson, MaybePath, Run, err, print_table, warn
+from pglog.common import SAME, AsJson, Run, err, print_table, warn
 from proground_log.errors import ProgroundError
 from proground_log.query.voxels import OBJECTS_VOXEL_M
 
@@ -23,14 +24,14 @@ def navigate_command(
     to: Annotated[str, tyro.conf.arg(metavar="TEXT|X,Y")],
     robot_radius: float = 0.18,
     robot_height: float = 1.0,
-    vocabulary: MaybePath = None,
-    text_encoder: MaybePath = None,
+    vocabulary: Path | None = None,
+    text_encoder: Path | None = None,
     voxel_m: float = OBJECTS_VOXEL_M,
     as_json: AsJson = False,
-    png: MaybePath = None,
-    rrd: MaybePath = None,
+    png: Path | None = None,
+    rrd: Path | None = None,
     overwrite: bool = False,
-    log: MaybePath = None,
+    log: Path | None = None,
 ) -> int:
     """Find a safe way across the floor to a thing ("sink") or a place.
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 from rich.table import Column, Table
 
-from pglog.common import SAME, AsJson, MaybePath, Run, err, out, warn
+from pglog.common import SAME, AsJson, Run, err, out, warn
 from proground_log.query.voxels import OBJECTS_VOXEL_M
 
 
@@ -15,10 +16,10 @@ def objects_command(
     *,
     voxel_m: float = OBJECTS_VOXEL_M,
     as_json: AsJson = False,
-    csv: MaybePath = None,
-    rrd: MaybePath = None,
+    csv: Path | None = None,
+    rrd: Path | None = None,
     overwrite: bool = False,
-    log: MaybePath = None,
+    log: Path | None = None,
 ) -> int:
     """List the objects in a map: what they are, where, how large, how sure, how often seen.
 

@@ -13,8 +13,6 @@ from pglog.common import (
     SAME,
     STOPPED,
     Log,
-    MaybeInt,
-    MaybePath,
     Output,
     print_table,
     shown_progress,
@@ -30,13 +28,13 @@ def perceive_command(
     log: Log,
     *,
     output: Output,
-    task: MaybePath = None,
-    detector: MaybePath = None,
-    segmenter: MaybePath = None,
-    vocabulary: MaybePath = None,
-    text_encoder: MaybePath = None,
+    task: Path | None = None,
+    detector: Path | None = None,
+    segmenter: Path | None = None,
+    vocabulary: Path | None = None,
+    text_encoder: Path | None = None,
     simulated: bool = False,
-    seed: MaybeInt = None,
+    seed: int | None = None,
     overwrite: bool = False,
 ) -> int:
     """Find what a task asks for in each frame, and keep it in a new log.
@@ -93,7 +91,7 @@ def _print_summary(output: Path, task: str, summary: PerceivedSummary) -> None:
 def vocabulary_build_command(
     names: Annotated[Path, Positional, tyro.conf.arg(metavar="NAMES")],
     *,
-    text_encoder: Annotated[Path, tyro.conf.arg(metavar="PATH")],
+    text_encoder: Path,
     output: Output,
     overwrite: bool = False,
 ) -> int:

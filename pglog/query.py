@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.table import Column, Table
 from tyro.conf import Positional
 
-from pglog.common import SAME, AsJson, MaybePath, Run, err, out, warn
+from pglog.common import SAME, AsJson, Run, err, out, warn
 from proground_log.errors import ProgroundError
 from proground_log.query.voxels import OBJECTS_VOXEL_M
 
@@ -19,20 +20,18 @@ if TYPE_CHECKING:
 
 def query_command(
     run: Run,
-    texts: Annotated[
-        tuple[str, ...], Positional, tyro.conf.arg(metavar="[TEXT ...]", help_behavior_hint="")
-    ] = (),
+    texts: Annotated[tuple[str, ...], Positional, tyro.conf.arg(metavar="[TEXT ...]")] = (),
     *,
-    image: MaybePath = None,
-    image_encoder: MaybePath = None,
-    vocabulary: MaybePath = None,
-    text_encoder: MaybePath = None,
+    image: Path | None = None,
+    image_encoder: Path | None = None,
+    vocabulary: Path | None = None,
+    text_encoder: Path | None = None,
     top_k: int = 5,
     voxel_m: float = OBJECTS_VOXEL_M,
     as_json: AsJson = False,
-    rrd: MaybePath = None,
+    rrd: Path | None = None,
     overwrite: bool = False,
-    log: MaybePath = None,
+    log: Path | None = None,
 ) -> int:
     """Say where things are: by a text, or by a picture of one.
 

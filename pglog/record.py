@@ -15,11 +15,6 @@ from tyro.conf import Positional
 from pglog.common import (
     SAME,
     AsJson,
-    MaybeFloat,
-    MaybeInt,
-    MaybePath,
-    MaybeSource,
-    MaybeText,
     Output,
     shown_progress,
     warn,
@@ -33,47 +28,47 @@ from proground_log.locations import is_same, located
 class FormatOptions:
     """What some of the formats can be told; `calibration` fits nearly all of them."""
 
-    calibration: MaybePath = None
+    calibration: Path | None = None
     """JSON file, or a log of the same rig, that overrides the cameras."""
-    max_time_difference_s: MaybeFloat = None
+    max_time_difference_s: float | None = None
     """tum, redwood, ROS bags: most between a colour and a depth image."""
-    trajectory: MaybePath = None
+    trajectory: Path | None = None
     """redwood, icl-nuim: file of poses."""
-    label_set: MaybeText = None
+    label_set: str | None = None
     """scannet: classes of label-filt: scannet, nyu40 or scannet-to-nyu40, which converts."""
-    min_confidence: MaybeInt = None
+    min_confidence: int | None = None
     """record3d, arkitscenes: depth below it counts as not measured: 0 (keep all), 1 or 2."""
-    color: MaybeText = None
+    color: str | None = None
     """arkitscenes: folder of colour images: lowres_wide, vga_wide or wide."""
-    depth: MaybeText = None
+    depth: str | None = None
     """colmap: folder of depth images of the colour images; arkitscenes: highres_depth."""
-    depth_unit_scale_factor: MaybeFloat = None
+    depth_unit_scale_factor: float | None = None
     """nerfstudio: metres of one depth unit."""
-    images: MaybePath = None
+    images: Path | None = None
     """colmap: folder of the images."""
-    model: MaybeInt = None
+    model: int | None = None
     """colmap: which of the models in sparse/."""
-    scale: MaybeFloat = None
+    scale: float | None = None
     """colmap: metres of one unit of the model."""
-    distances: MaybePath = None
+    distances: Path | None = None
     """colmap: text file of known distances, `image image metres` a line, to fit the scale to."""
-    color_topic: MaybeText = None
+    color_topic: str | None = None
     """ROS bags: colour images."""
-    depth_topic: MaybeText = None
+    depth_topic: str | None = None
     """ROS bags: depth images."""
-    color_info_topic: MaybeText = None
+    color_info_topic: str | None = None
     """ROS bags: CameraInfo of the colour images."""
-    depth_info_topic: MaybeText = None
+    depth_info_topic: str | None = None
     """ROS bags: CameraInfo of the depth images."""
-    odometry_topic: MaybeText = None
+    odometry_topic: str | None = None
     """ROS bags: Odometry or PoseStamped to take poses from, instead of tf."""
-    world_frame: MaybeText = None
+    world_frame: str | None = None
     """ROS bags: the world's coordinate frame."""
-    max_pose_gap_s: MaybeFloat = None
+    max_pose_gap_s: float | None = None
     """ROS bags: transforms further apart are not interpolated between."""
-    seed: MaybeInt = None
+    seed: int | None = None
     """synthetic: varies the room."""
-    frames: MaybeInt = None
+    frames: int | None = None
     """synthetic: frames on the camera's way."""
     noise: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
     """synthetic: noise of a real sensor."""
@@ -101,13 +96,13 @@ def _name(source: Path) -> str:
 
 def record_command(
     format: Annotated[str, Positional, tyro.conf.arg(metavar="FORMAT")],
-    source: MaybeSource = None,
+    source: Positional[Path | None] = None,
     *,
     output: Output,
     start: int = 0,
-    stop: MaybeInt = None,
+    stop: int | None = None,
     stride: int = 1,
-    jobs: MaybeInt = None,
+    jobs: int | None = None,
     options: Annotated[FormatOptions, tyro.conf.arg(name="")] = FormatOptions(),
     overwrite: bool = False,
     as_json: AsJson = False,

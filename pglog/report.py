@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from pglog.common import SAME, MaybePath, Output, Run, shown_progress
+from pathlib import Path
+
+from pglog.common import SAME, Output, Run, shown_progress
 
 
 def report_command(
-    run: Run, *, output: Output, log: MaybePath = None, overwrite: bool = False
+    run: Run, *, output: Output, log: Path | None = None, overwrite: bool = False
 ) -> int:
     """Write a page about a run: its verdict, views, losses, budget, memory, objects, floor plan.
 

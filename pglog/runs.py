@@ -9,14 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.table import Table
+from tyro.conf import Positional
 
 from pglog.common import (
     SAME,
     STOPPED,
     AsJson,
-    MaybeInt,
-    MaybeLog,
-    MaybePath,
     Output,
     Run,
     frames_watched,
@@ -37,17 +35,17 @@ if TYPE_CHECKING:
 
 
 def replay_command(
-    log: MaybeLog = None,
+    log: Positional[Path | None] = None,
     *,
     output: Output,
     config: Annotated[ReplayConfig, tyro.conf.arg(name="")] = ReplayConfig(),
     perception: Annotated[PerceptionOptions, tyro.conf.arg(name="")] = PerceptionOptions(),
-    threads: MaybeInt = None,
+    threads: int | None = None,
     resume: bool = False,
-    from_checkpoint: MaybePath = None,
-    until_frame: MaybeInt = None,
+    from_checkpoint: Path | None = None,
+    until_frame: int | None = None,
     pause_at: Annotated[tuple[int, ...], tyro.conf.arg(metavar="FRAME ...")] = (),
-    manifest: MaybePath = None,
+    manifest: Path | None = None,
     check: bool = False,
     overwrite: bool = False,
 ) -> int:
@@ -143,13 +141,13 @@ def _seconds(value: float | None) -> str:
 def evaluate_command(
     run: Run,
     *,
-    log: MaybePath = None,
+    log: Path | None = None,
     voxel_m: float = LOOK_VOXEL_M,
-    ground_truth: MaybePath = None,
-    names: MaybePath = None,
-    mapping: MaybePath = None,
-    vocabulary: MaybePath = None,
-    text_encoder: MaybePath = None,
+    ground_truth: Path | None = None,
+    names: Path | None = None,
+    mapping: Path | None = None,
+    vocabulary: Path | None = None,
+    text_encoder: Path | None = None,
     as_json: AsJson = False,
 ) -> int:
     """Judge a map by the frames held out of it, by the true mesh, and by labels.

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 from rich.table import Column, Table
 
-from pglog.common import FAILED, SAME, STOPPED, Log, MaybeInt, Output, err, out, warn
+from pglog.common import FAILED, SAME, STOPPED, Log, Output, err, out, warn
 from proground_log.errors import ProgroundError
 from proground_log.perception.opening import PerceptionOptions, perceiver_of_replay
 from proground_log.query.voxels import LOOK_VOXEL_M
@@ -70,11 +70,9 @@ def sweep_command(
         tyro.conf.arg(name="set", metavar="KEY=VALUE,VALUE,..."),
     ] = (),
     engine: Literal["local", "ray"] = "local",
-    workers: MaybeInt = None,
+    workers: int | None = None,
     voxel_m: float = LOOK_VOXEL_M,
-    ray_address: Annotated[
-        str | None, tyro.conf.arg(metavar="HOST:PORT", help_behavior_hint="")
-    ] = None,
+    ray_address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None,
     config: Annotated[SweptConfig, tyro.conf.arg(name="")] = SETTINGS,
     perception: Annotated[PerceptionOptions, tyro.conf.arg(name="")] = PerceptionOptions(),
 ) -> int:

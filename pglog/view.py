@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from pglog.common import SAME, LogsAndRuns
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from tyro.conf import Positional
+
+from pglog.common import SAME
 from proground_log.errors import ProgroundError
 
 
 def view_command(
-    paths: LogsAndRuns = (),
+    paths: Annotated[tuple[Path, ...], Positional, tyro.conf.arg(metavar="[LOG|RUN ...]")] = (),
     *,
     web: bool = False,
 ) -> int:

@@ -20,11 +20,10 @@ if TYPE_CHECKING:
     from proground_log.perception.description import PerceptionDescription
 
 Overrun = Literal["drop-oldest", "drop-newest", "wait"]
+Device = Literal["auto", "cpu", "cuda"]
 Value = bool | int | float | str | None
 """What a setting can be set to on the command line."""
 Part = TypeVar("Part")
-
-MaybeFloat = Annotated[float | None, tyro.conf.arg(metavar="FLOAT", help_behavior_hint="")]
 
 
 @dataclass(frozen=True)
@@ -47,9 +46,9 @@ class TelemetryConfig:
 class SimulationConfig:
     """The computer that the map is made on, as far as time goes; see docs/budgets.md."""
 
-    budget_ms: MaybeFloat = None
+    budget_ms: float | None = None
     """Simulated time that a mapped frame may take, steps and all; without it, each gets --steps."""
-    rate: MaybeFloat = None
+    rate: float | None = None
     """Speed at which frames arrive, 1 as recorded; 0: lock-step, the next frame arrives when the
     mapper is free. By default 1 with a budget and 0 without."""
     queue: int = 1
@@ -100,8 +99,8 @@ class ReplayConfig:
     """Optimisation steps a mapped frame gets."""
     seed: int = 0
     """Of every random draw."""
-    device: str = "auto"
-    """auto, cpu or cuda."""
+    device: Device = "auto"
+    """What computes; auto: cuda where there is one."""
     selection: Annotated[Selection, tyro.conf.arg(name="")] = Selection()
     """Which frames of the log arrive."""
     max_frames: int | None = None

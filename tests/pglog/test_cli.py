@@ -87,6 +87,7 @@ def test_help(pglog: Pglog, command: str | None) -> None:
     assert (answer.code, answer.err) == (0, "")
     assert f"usage: pglog {command or '[-h]'}" in answer.out
     assert "STR" not in answer.out.splitlines()[0]
+    assert "None" not in answer.out
     if command is None:
         assert all(name in answer.out for name in COMMANDS)
 
@@ -780,7 +781,9 @@ def test_what_is_no_run(pglog: Pglog, tmp_path: Path, small_log: Path) -> None:
 
 def test_an_unknown_export(pglog: Pglog, tmp_path: Path) -> None:
     answer = pglog("export", tmp_path, "stl", "-o", tmp_path / "a.stl")
-    assert_one_clear_line(answer, "there is no export 'stl'; use mesh, points")
+    assert (answer.code, answer.out) == (2, "")
+    assert "'stl'" in answer.err
+    assert "'mesh', 'points'" in answer.err
 
 
 def test_an_export_that_exists(pglog: Pglog, tmp_path: Path) -> None:
@@ -794,12 +797,18 @@ def test_wrong_options_of_replay(pglog: Pglog, small_log: Path, tmp_path: Path) 
     run = tmp_path / "run"
     for options, part in (
         (["--threads", 0], "0 threads cannot compute; use 1 or more"),
-        (["--device", "tpu"], "there is no device 'tpu'"),
         (["--start", 9], "a recording of 5 frames: start 9"),
         (["--resume"], "there is no run to resume"),
     ):
         assert_one_clear_line(pglog("replay", small_log, "-o", run, *options), part)
         assert not run.exists()
+
+
+def test_an_unknown_device(pglog: Pglog, small_log: Path, tmp_path: Path) -> None:
+    answer = pglog("replay", small_log, "-o", tmp_path / "run", "--device", "tpu")
+    assert (answer.code, answer.out) == (2, "")
+    assert "'tpu'" in answer.err
+    assert "('auto', 'cpu', 'cuda')" in answer.err
 
 
 @pytest.mark.long

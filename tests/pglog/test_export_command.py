@@ -141,7 +141,6 @@ def test_the_others_are_written_and_say_what_is_in_them(
 def test_what_cannot_be_exported_is_refused_before_any_work(run: Path, tmp_path: Path) -> None:
     nowhere = tmp_path / "no run"
     for what, name, fault in (
-        ("stl", "a.stl", "there is no export 'stl'"),
         ("mesh", "a.obj", "mesh is not written as .obj"),
         ("objects", "objects", "without a suffix"),
         ("mesh", "a.ply", "no such run"),
