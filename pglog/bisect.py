@@ -4,11 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
-import subprocess
-import sys
-from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,18 +12,10 @@ import tyro
 from pglog.common import DIFFERENT, SAME, AsJson, Output, Run
 from pglog.diff import print_divergence
 from pglog.rerun import perceiver_of_run
-from proground_log.errors import ProgroundError
 from proground_log.perception.opening import PerceptionOptions
 
 if TYPE_CHECKING:
-    from proground_log.perception.perceiver import Perceiver
-    from proground_log.run.folder import RunFolder
     from replay.divergence.bisect import Bisection, Side
-    from replay.divergence.rerun import Excerpt
-
-
-BEFORE_0_2 = "proground_log.cli"
-"""Where the command was in checkouts of version 0.1."""
 
 
 def bisect_command(
@@ -64,16 +51,16 @@ def bisect_command(
     from replay.device import set_threads
     from replay.divergence.bisect import bisect
     from replay.divergence.diff import origins_of
+    from replay.divergence.sides import ThisCode, other_code
 
     set_threads(threads)
-    flags = [*_flags(log, threads), *_perception_flags(perception)]
     sides: list[Side] = []
     for run, code in ((first, code_a), (second, code_b)):
         folder = RunFolder(run).require_finished()
         if code is not None:
-            sides.append(_OtherCode(folder, _require_checkout(code), flags))
+            sides.append(other_code(folder, code, log=log, threads=threads, perception=perception))
         else:
-            sides.append(_ThisCode(folder, log, perceiver_of_run(run, log, perception)))
+            sides.append(ThisCode(folder, log, perceiver_of_run(run, log, perception)))
     result = bisect(sides[0], sides[1], output)
     if as_json:
         found = None if result is None else dataclasses.asdict(result)
@@ -98,102 +85,3 @@ def _print(result: Bisection, origins: list[str]) -> None:
         )
     for name, difference in result.tensors.items():
         print(f"  {name}: {difference}")
-
-
-@dataclass(frozen=True)
-class _ThisCode:
-    """A run to be made again by this process."""
-
-    run: RunFolder
-    log: Path | None
-    perceiver: Perceiver | None
-
-    def rerun(self, output: Path, excerpt: Excerpt) -> None:
-        from replay.divergence.rerun import rerun
-
-        rerun(self.run.path, output, log=self.log, perceiver=self.perceiver, excerpt=excerpt)
-
-    def state_after(self, output: Path, frame: int, iteration: int, start: Path | None) -> None:
-        from replay.divergence.rerun import state_after
-
-        state_after(
-            self.run.path,
-            output,
-            frame=frame,
-            iteration=iteration,
-            start=start,
-            log=self.log,
-            perceiver=self.perceiver,
-        )
-
-
-@dataclass(frozen=True)
-class _OtherCode:
-    """A run to be made again by the `pglog` of a checkout."""
-
-    run: RunFolder
-    code: Path
-    flags: list[str]
-
-    def rerun(self, output: Path, excerpt: Excerpt) -> None:
-        options = {
-            "start": excerpt.start,
-            "until-frame": excerpt.until_frame,
-            "keep-every": excerpt.keep_every,
-        }
-        self._pglog_rerun(output, options)
-
-    def state_after(self, output: Path, frame: int, iteration: int, start: Path | None) -> None:
-        options = {"start": start, "until-frame": frame, "until-step": iteration}
-        self._pglog_rerun(output, options)
-
-    def _pglog_rerun(self, output: Path, options: Mapping[str, object]) -> None:
-        given = [
-            word
-            for name, value in options.items()
-            if value is not None
-            for word in (f"--{name}", str(value))
-        ]
-        # -P: the folder that the user is in is no place to find code.
-        module = "pglog" if (self.code / "pglog").is_dir() else BEFORE_0_2
-        command = [sys.executable, "-P", "-m", module, "rerun", str(self.run.path)]
-        done = subprocess.run(
-            [*command, "-o", str(output), *given, *self.flags],
-            env={**os.environ, "PYTHONPATH": str(self.code.resolve())},
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-            check=False,
-        )
-        if done.returncode:
-            reason = (done.stderr.strip().splitlines() or ["it failed"])[-1]
-            raise ProgroundError(
-                f"its pglog rerun says: {reason}",
-                where=self.code,
-                todo=f"try `pglog rerun {self.run.path}` there",
-            )
-
-
-def _require_checkout(code: Path) -> Path:
-    if not any((code / folder).is_dir() for folder in ("pglog", BEFORE_0_2.replace(".", "/"))):
-        raise ProgroundError(
-            "is no checkout of proground-log", where=code, todo="give the folder of its README"
-        )
-    return code
-
-
-def _flags(log: Path | None, threads: int | None) -> list[str]:
-    flags = [] if log is None else ["--log", str(log)]
-    return flags if threads is None else [*flags, "--threads", str(threads)]
-
-
-def _perception_flags(options: PerceptionOptions) -> list[str]:
-    """The options as they are written on a command line."""
-    flags: list[str] = []
-    for name, value in vars(options).items():
-        option = f"--{name.replace('_', '-')}"
-        if value is True:
-            flags.append(option)
-        elif value not in (None, False):
-            flags += [option, str(value)]
-    return flags

@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from rich.table import Column, Table
@@ -51,8 +51,8 @@ class SweptConfig(ReplayConfig):
 
     def of_a_cell(self) -> ReplayConfig:
         """The settings that all cells start from."""
-        simulation = SimulationConfig(**_fields(self.simulation))
-        return ReplayConfig(**{**_fields(self), "simulation": simulation})
+        simulation = SimulationConfig(**vars(self.simulation))
+        return ReplayConfig(**{**vars(self), "simulation": simulation})
 
 
 SETTINGS = SweptConfig()
@@ -136,16 +136,10 @@ def sweep_command(
     return FAILED if errors else SAME
 
 
-def _fields(settings: ReplayConfig | SimulationConfig) -> dict[str, Any]:
-    return {field.name: getattr(settings, field.name) for field in dataclasses.fields(settings)}
-
-
 def _resolved(options: PerceptionOptions) -> PerceptionOptions:
     """The options with whole paths."""
-    paths = {
-        field.name: getattr(options, field.name).resolve()
-        for field in dataclasses.fields(options)
-        if isinstance(getattr(options, field.name), Path)
+    paths: dict[str, Any] = {
+        name: path.resolve() for name, path in vars(options).items() if isinstance(path, Path)
     }
     return dataclasses.replace(options, **paths)
 
