@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, Union, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Union, get_args
 
 import tyro
 from rich.console import Console
@@ -25,6 +25,9 @@ from tyro.constructors import (
 )
 
 from proground_log.locations import located
+
+if TYPE_CHECKING:
+    from proground_log.events import Sink
 
 SAME, DIFFERENT, FAILED, STOPPED = 0, 1, 2, 130
 """Exit codes; STOPPED is what a shell expects after Ctrl-C."""
@@ -139,6 +142,13 @@ def shown_progress(what: str) -> Iterator[Callable[[int, int], None]]:
     finally:
         if bar.live.is_started:
             bar.stop()
+
+
+def frames_watched(frames: int) -> list[Sink]:
+    """A bar for a replay with so many frames to come, as its only watcher."""
+    from pglog.progress import ProgressSink
+
+    return [ProgressSink(frames, err)]
 
 
 def warn(warning: str) -> None:

@@ -12,8 +12,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from pglog.common import err
-from proground_log.events import Event, FrameDone, Sink, StepDone
+from proground_log.events import Event, FrameDone, StepDone
 
 
 def progress_bar(console: Console) -> Progress:
@@ -27,11 +26,6 @@ def progress_bar(console: Console) -> Progress:
         TextColumn("{task.fields[note]}"),
         console=console,
     )
-
-
-def frames_watched(frames: int) -> list[Sink]:
-    """A bar for a replay with so many frames to come, as its only watcher."""
-    return [ProgressSink(frames, err)]
 
 
 class ProgressSink:

@@ -14,6 +14,7 @@ from pglog.common import (
     STOPPED,
     Output,
     Run,
+    frames_watched,
 )
 from pglog.diff import print_divergence
 from proground_log.errors import ProgroundError
@@ -55,7 +56,6 @@ def rerun_command(
             leave telemetry out.
         overwrite: replace a run that is in the output.
     """
-    from pglog.progress import frames_watched
     from proground_log.run.folder import RunFolder
     from replay.device import set_threads
     from replay.divergence.diff import origins_of

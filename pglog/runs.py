@@ -17,6 +17,7 @@ from pglog.common import (
     AsJson,
     Output,
     Run,
+    frames_watched,
     out,
     print_table,
     shown_progress,
@@ -64,7 +65,6 @@ def replay_command(
         check: with it: compare with its ledger, and stop at the first difference (exit code 1).
         overwrite: replace a run that is there.
     """
-    from pglog.progress import frames_watched
     from proground_log.log.reader import LogReader
     from replay.device import set_threads
     from replay.session import ReplayStoppedError, replay

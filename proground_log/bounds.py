@@ -11,7 +11,12 @@ from proground_log.errors import ProgroundError
 
 @dataclass(frozen=True)
 class Bounds:
-    """An axis-aligned box in the world, in metres."""
+    """An axis-aligned box in the world, in metres.
+
+    >>> room = Bounds((0.0, 0.0, 0.0), (4.0, 3.0, 2.5))
+    >>> room.contains(np.array([[1.0, 1.0, 1.0], [5.0, 1.0, 1.0]])).tolist()
+    [True, False]
+    """
 
     lower_m: tuple[float, float, float]
     upper_m: tuple[float, float, float]

@@ -109,8 +109,9 @@ class Survey:
         every -= without | {topics.TF_STATIC}
         return sorted(
             time_ns
-            for time_ns, of in has.items()
-            if of >= IN_EVERY_FRAME and (of >= every or not self._frames[time_ns].is_beside_damage)
+            for time_ns, topics_there in has.items()
+            if topics_there >= IN_EVERY_FRAME
+            and (topics_there >= every or not self._frames[time_ns].is_beside_damage)
         )
 
     def messages(self, time_ns: int) -> dict[str, RawMessage]:

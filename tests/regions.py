@@ -13,7 +13,7 @@ from proground_log.perception.heads import TextHeads
 from proground_log.perception.perceive import perceive
 from proground_log.perception.task import Task
 from proground_log.regions import EMBEDDING_WIDTH, LEVELS, Regions
-from tests.small_source import LABEL_NAMES, SmallSource, write_log
+from tests.writers.small_source import LABEL_NAMES, SmallSource, write_log
 
 TASK = Task("things", ("chair", "küche"), ("lamp",), colors={"lamp": "#ff8000"})
 

@@ -21,20 +21,20 @@ from recorders.registry import FORMATS
 from recorders.room import RoomSource
 from recorders.room.source import CAMERA
 from tests.commands import Pglog
-from tests.recorders.test_arkitscenes import small_frame, write_video
-from tests.recorders.test_colmap import write_depth_maps, write_workspace
-from tests.recorders.test_hm3dsem_walk import write_walk
-from tests.recorders.test_icl_nuim import write_trajectory
-from tests.recorders.test_nerfstudio import write_data_set
-from tests.recorders.test_redwood import write_sequence as write_redwood
-from tests.recorders.test_replica_semantic import semantic_frame
-from tests.recorders.test_replica_semantic import write_sequence as write_replica_semantic
-from tests.recorders.test_ros1_bag import write_bag
-from tests.recorders.test_scannet import true_names, with_things, write_label_table
-from tests.recorders.test_scannet import write_scene as write_scannet
-from tests.recorders.test_scannet_sens import room_sens
-from tests.recorders.test_scannetpp import iphone_frame, poses_of, write_iphone
-from tests.ros_bags import room_messages, write_mcap
+from tests.writers.arkitscenes import small_frame, write_video
+from tests.writers.colmap import write_depth_maps, write_workspace
+from tests.writers.hm3dsem_walk import write_walk
+from tests.writers.icl_nuim import write_trajectory
+from tests.writers.nerfstudio import write_data_set
+from tests.writers.redwood import write_sequence as write_redwood
+from tests.writers.replica_semantic import semantic_frame
+from tests.writers.replica_semantic import write_sequence as write_replica_semantic
+from tests.writers.ros1_bag import write_bag
+from tests.writers.ros_bags import room_messages, write_mcap
+from tests.writers.scannet import true_names, with_things, write_label_table
+from tests.writers.scannet import write_scene as write_scannet
+from tests.writers.scannet_sens import room_sens
+from tests.writers.scannetpp import iphone_frame, poses_of, write_iphone
 
 KINECT = Camera(640, 480, 535.4, 539.2, 320.6, 248.1)
 """That of freiburg3."""
@@ -149,7 +149,7 @@ def hm3dsem_walk(folder: Path, _: RoomSource, frames: list[SensorFrame]) -> Path
 
 def record3d(folder: Path, _: RoomSource, frames: list[SensorFrame]) -> Path:
     pytest.importorskip("lzfse")
-    from tests.recorders.test_record3d import members_of, metadata_of, write_zip
+    from tests.writers.record3d import members_of, metadata_of, write_zip
 
     folder.mkdir()
     metadata = metadata_of(frames, CAMERA)

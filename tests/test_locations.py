@@ -23,7 +23,7 @@ from proground_log.log.reader import LogReader
 from recorders.record import record
 from recorders.registry import open_source
 from recorders.room.source import CAMERA
-from tests.small_source import SmallSource, write_log
+from tests.writers.small_source import SmallSource, write_log
 
 
 class RangeHandler(http.server.SimpleHTTPRequestHandler):

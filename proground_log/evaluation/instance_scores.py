@@ -94,10 +94,10 @@ def score_instances(
     """
     distance_m, nearest = cKDTree(vertices_m).query(true_vertices_m)
     found_objects = np.where(distance_m <= REACH_M, objects[nearest], -1)
-    both = (true_objects >= 0) & (found_objects >= 0)
+    in_pair = (true_objects >= 0) & (found_objects >= 0)
     shape = len(true_classes), len(classes)
-    pairs = true_objects[both], found_objects[both]
-    shared = coo_array((np.ones(int(both.sum()), np.int64), pairs), shape=shape).tocsr().tocoo()
+    pairs = true_objects[in_pair], found_objects[in_pair]
+    shared = coo_array((np.ones(int(in_pair.sum()), np.int64), pairs), shape=shape).tocsr().tocoo()
     true_sizes = np.bincount(true_objects[true_objects >= 0], minlength=shape[0])
     found_sizes = np.bincount(found_objects[found_objects >= 0], minlength=shape[1])
     union = true_sizes[shared.row] + found_sizes[shared.col] - shared.data
@@ -147,9 +147,10 @@ def find_crowds(
     """
     trees = [cKDTree(vertices_m[objects == number]) for number in range(len(classes))]
     links = np.zeros((len(classes),) * 2, bool)
-    for one, other in combinations(range(len(classes)), 2):
-        if classes[one] == classes[other]:
+    for first, second in combinations(range(len(classes)), 2):
+        if classes[first] == classes[second]:
             # Counted, not listed: dense meshes have more near pairs than fit into memory.
-            links[one, other] = trees[one].count_neighbors(trees[other], nearer_than_m) > 0
+            near = trees[first].count_neighbors(trees[second], nearer_than_m)
+            links[first, second] = near > 0
     _, row = connected_components(links, directed=False)
     return frozenset(np.flatnonzero(np.bincount(row)[row] >= CROWD).tolist())

@@ -118,6 +118,9 @@ def candidates_of(
 
     Returns:
         By label the candidate's number, or -1 for what is excluded or no candidate.
+
+    >>> candidates_of({1: "Office Chair", 2: "rug"}, ["chair", "table"], {"office chair": "chair"})
+    {1: 0, 2: -1}
     """
     number = {plain(name): index for index, name in enumerate(names)}
     found = {}

@@ -51,6 +51,9 @@ def truth_ranks(logits: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
     Returns:
         int64 [V], 0 when the true name comes first; -1 for points that are not judged.
+
+    >>> truth_ranks(np.array([[0.9, 0.2, 0.4], [0.1, 0.1, 0.1]]), np.array([2, 0])).tolist()
+    [1, 2]
     """
     ranks = np.full(len(truth), -1)
     judged = np.flatnonzero(truth >= 0)

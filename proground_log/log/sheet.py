@@ -16,7 +16,7 @@ from matplotlib.patches import Patch, Rectangle
 
 from proground_log.camera import Calibration, transform
 from proground_log.files import require_free, written_whole
-from proground_log.frame import SensorFrame
+from proground_log.frame import SensorFrame, evenly
 from proground_log.log.info import LogInfo, log_info
 from proground_log.log.reader import LogReader
 from proground_log.log.upright import nearest_axis, up_direction
@@ -84,18 +84,13 @@ def draw_sheet(path: Path, output: Path, *, overwrite: bool) -> None:
 
 def _read(reader: LogReader) -> tuple[list[_Thumbnail], np.ndarray]:
     """Thumbnails of frames spread over the recording, and poses [P, 4, 4] of some more."""
-    shown, known = (_spread(len(reader), count) for count in (MOST_FRAMES, MOST_POSES))
+    shown, known = (evenly(len(reader), count) for count in (MOST_FRAMES, MOST_POSES))
     thumbnails, poses = [], []
     for frame in reader.frames(sorted({*shown, *known})):
         poses.append(frame.world_from_camera)
         if frame.index in shown:
             thumbnails.append(_thumbnail(frame, frame.calibration or reader.calibration))
     return thumbnails, np.array(poses)
-
-
-def _spread(count: int, most: int) -> list[int]:
-    """At most so many of the numbers below `count`, evenly, the first and the last included."""
-    return [int(number) for number in np.linspace(0, count - 1, min(count, most)).round()]
 
 
 def _thumbnail(frame: SensorFrame, calibration: Calibration) -> _Thumbnail:
@@ -243,9 +238,9 @@ def _draw_map(
     axes.plot(x, y, color="#1f5fbf", lw=1.5, label="camera")
     axes.plot(x[0], y[0], "o", color="#18a018", ms=9, label="start")
     axes.plot(x[-1], y[-1], "s", color="#c02020", ms=7, label="end")
-    some = _spread(len(poses), 24)
+    arrows = evenly(len(poses), 24)
     axes.quiver(
-        x[some], y[some], poses[some, right, 2], poses[some, ahead, 2],
+        x[arrows], y[arrows], poses[arrows, right, 2], poses[arrows, ahead, 2],
         color="#1f5fbf", width=0.003, scale=18, zorder=3,
     )  # fmt: skip
     seen = np.stack([x, y], axis=1)

@@ -134,9 +134,9 @@ def draw_floor_plan(
     things_m = things_m[(heights_m > robot.step_m) & (heights_m < robot.height_m)]
 
     floor, things = ground.plan(floor_m), ground.plan(things_m)
-    both = np.concatenate([floor, things])
-    first = np.floor(both.min(axis=0) / cell_m)
-    shape = (np.floor(both.max(axis=0) / cell_m) - first).astype(int) + 1
+    known = np.concatenate([floor, things])
+    first = np.floor(known.min(axis=0) / cell_m)
+    shape = (np.floor(known.max(axis=0) / cell_m) - first).astype(int) + 1
     cells = np.full(shape, UNKNOWN, np.uint8)
     for places, state in ((floor, FREE), (things, OCCUPIED)):
         cells[tuple((np.floor(places / cell_m) - first).astype(int).T)] = state

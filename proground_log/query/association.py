@@ -32,8 +32,8 @@ def associate(sightings: Sightings) -> np.ndarray:
     """
     if not len(sightings):
         return np.zeros(0, np.int64)
-    same, seen = consensus(sightings)
-    _, groups = np.unique(contract(same - CONSENSUS * seen), return_inverse=True)
+    agreeing, seen = consensus(sightings)
+    _, groups = np.unique(contract(agreeing - CONSENSUS * seen), return_inverse=True)
     return np.asarray(groups, np.int64)
 
 

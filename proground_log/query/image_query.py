@@ -11,6 +11,7 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 
 from proground_log.errors import ProgroundError
 from proground_log.files import require_file
+from proground_log.frame import evenly
 from proground_log.log.reader import LogReader
 from proground_log.perception.onnx.image_encoder import OnnxImageEncoder
 
@@ -48,7 +49,6 @@ def background_crops(reader: LogReader) -> Iterator[np.ndarray]:
 
     Frames evenly spaced over the log, each cut into a grid: 48 pieces, fewer of a short log.
     """
-    frames = np.linspace(0, len(reader) - 1, BANK_FRAMES).round().astype(int)
-    for sensor in reader.frames(np.unique(frames).tolist()):
+    for sensor in reader.frames(evenly(len(reader), BANK_FRAMES)):
         for band in np.array_split(sensor.decode_color(), BANK_SIDE, axis=0):
             yield from np.array_split(band, BANK_SIDE, axis=1)

@@ -50,9 +50,9 @@ def extract_mesh(mapped: Map, voxel_m: float) -> Mesh:
     # slab by slab, since the hash grid is read once for all that are asked together.
     asked = np.flatnonzero(near)
     for start in range(0, len(asked), POINTS_AT_ONCE):
-        some = np.unravel_index(asked[start : start + POINTS_AT_ONCE], near.shape)
-        points_m = np.stack([axis_m[i] for axis_m, i in zip(axes, some, strict=True)], axis=-1)
-        sdf[some] = mapped.signed_distance(points_m)
+        part = np.unravel_index(asked[start : start + POINTS_AT_ONCE], near.shape)
+        points_m = np.stack([axis_m[i] for axis_m, i in zip(axes, part, strict=True)], axis=-1)
+        sdf[part] = mapped.signed_distance(points_m)
     try:
         vertices, faces, _, _ = marching_cubes(
             sdf,

@@ -114,11 +114,11 @@ def _with_fragments(
     pairs, pair_of = np.unique(
         np.stack([first[border], second[border]], axis=1), axis=0, return_inverse=True
     )
-    one, other = (sightings.regions[edges[border, side]] for side in (0, 1))
+    near_side, far_side = (sightings.regions[edges[border, side]] for side in (0, 1))
     by_frame = _members(sightings.frame_of, sightings.seen.shape[1])
-    same = one.multiply(other).sum(axis=1)
-    both = (one @ by_frame).multiply(other @ by_frame).sum(axis=1)
-    agreement = np.bincount(pair_of, same - both / 2, len(pairs))
+    found_as_one = near_side.multiply(far_side).sum(axis=1)
+    found_in_both = (near_side @ by_frame).multiply(far_side @ by_frame).sum(axis=1)
+    agreement = np.bincount(pair_of, found_as_one - found_in_both / 2, len(pairs))
     sizes = np.bincount(owner[owner >= 0], minlength=len(mean))
     into = np.arange(len(mean))
     for pair in np.argsort(-agreement, kind="stable"):

@@ -78,8 +78,8 @@ def _query(words: str, whole: str, known: Collection[str]) -> Query:
         first = words[: match.start()].strip().removesuffix(",").rstrip()
         if not any(_covers(words, name, match) for name in known):
             thing = _thing(first, whole, known)
-            other = _query(words[match.end() :].strip(), whole, known)
-            return Query(thing.name, thing.color, thing.without, WORDS[match[1]], other)
+            landmark = _query(words[match.end() :].strip(), whole, known)
+            return Query(thing.name, thing.color, thing.without, WORDS[match[1]], landmark)
     return _thing(words, whole, known)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import rerun as rr
 
 from proground_log.camera import Calibration, Camera, transform
-from proground_log.frame import SensorFrame
+from proground_log.frame import SensorFrame, evenly
 from proground_log.log.reader import LogReader
 from proground_log.log.registration import Registration
 from proground_log.log.upright import levelled, nearest_axis, surface_normals, up_direction
@@ -75,10 +75,8 @@ class _Drawing:
         self._recording, self._task = recording, task
         self._calibration, self._names = reader.calibration, reader.label_names
         self._register = Registration(reader.calibration)
-        count = min(len(reader), SURFACE_FRAMES)
-        numbers = np.linspace(0, len(reader) - 1, count).round()
-        self._surface_frames = {int(number) for number in numbers}
-        self._points_each = SURFACE_POINTS // max(count, 1)
+        self._surface_frames = set(evenly(len(reader), SURFACE_FRAMES))
+        self._points_each = SURFACE_POINTS // max(len(self._surface_frames), 1)
         self._points: list[np.ndarray] = []
         self._colors: list[np.ndarray] = []
         self._normals: list[np.ndarray] = []

@@ -9,24 +9,19 @@ from __future__ import annotations
 
 import csv
 import re
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from proground_log.camera import Calibration, Camera, require_rigid
+from proground_log.camera import Calibration, Camera
 from proground_log.errors import ProgroundError
 from proground_log.files import nearest_above
 from proground_log.frame import SensorFrame
-from recorders.reading.association import frame_stamp_ns, is_tracked, parse_matrix, read_text
+from recorders.reading.association import read_text
 from recorders.reading.axes import opencv_from_opengl
-from recorders.reading.images import (
-    numbered_files,
-    read_color,
-    read_depth,
-    read_encoded,
-    require_size,
-)
+from recorders.reading.frame_files import FrameFiles, Numbered, find_frames, pose_files
+from recorders.reading.images import read_encoded, require_size
 from recorders.reading.layout import holds
 from recorders.reading.npy import read_npy_image
 
@@ -36,17 +31,6 @@ LARGEST_NUMBER = 65535
 FIRST_LINE = "HM3D Semantic Annotations"
 _POSES = "[0-9A-Za-z]" * 11 + "_" + "[0-9]" * 6 + ".txt"
 """The data set's scenes have names of 11 characters."""
-
-
-@dataclass(frozen=True)
-class _Files:
-    """Where one frame is: its number, its images, and its pose, float64 [4, 4], our axes."""
-
-    number: int
-    color: Path
-    depth: Path
-    instances: Path | None
-    world_from_camera: np.ndarray
 
 
 def recognise(source: Path) -> str | None:
@@ -93,23 +77,12 @@ class Hm3dsemWalkSource:
     def frame(self, index: int) -> SensorFrame:
         """Read frame `index`; its depth is uint16 in millimetres."""
         files, camera = self._frames[index], self.calibration.color
-        color = read_color(files.color, camera)
         instances = _read_instances(files.instances, camera) if files.instances else None
         labels = None
         if instances is not None and self._label_of is not None:
             labels = self._label_of[instances]
-        stamp_ns = frame_stamp_ns(files.number, FRAME_RATE_HZ)
-        return SensorFrame(
-            index=index,
-            stamp_ns=stamp_ns,
-            color_stamp_ns=stamp_ns,
-            color=color.data,
-            color_format=color.format,
-            depth=read_depth(files.depth, self.calibration.depth),
-            world_from_camera=files.world_from_camera,
-            labels=labels,
-            instances=instances,
-        )
+        frame = replace(files, instances=None).read(index, self.calibration)
+        return replace(frame, labels=labels, instances=instances)
 
     def ground_truth_mesh(self) -> bytes | None:
         """A walk has none."""
@@ -129,44 +102,21 @@ def _scene(path: Path) -> str:
     return re.sub(r"[_-]\d+$", "", path.stem)
 
 
-def _find_frames(source: Path) -> tuple[list[_Files], int]:
-    """The frames that have a pose, each of them complete, and the number of the others."""
-    depths = numbered_files(source / "depth", r".+[_-](\d+)\.png")
-    if not depths:
-        raise ProgroundError(
-            "has no images such as <scene>_000000.png",
-            where=source / "depth",
-            todo="give the folder of a walk as HOV-SG's script renders it",
-        )
-    colors = numbered_files(source / "rgb", r".+[_-](\d+)\.(?:png|jpe?g)")
-    poses = numbered_files(source / "pose", r".+[_-](\d+)\.txt")
-    has_truth = (source / "semantic").is_dir()
-    things = numbered_files(source / "semantic", r".+[_-](\d+)\.npy") if has_truth else {}
-    frames = []
-    for number, depth in depths.items():
-        for missing, path in (
-            (number not in colors, source / "rgb" / depth.name),
-            (number not in poses, source / "pose" / f"{depth.stem}.txt"),
-            (has_truth and number not in things, source / "semantic" / f"{depth.stem}.npy"),
-        ):
-            if missing:
-                raise ProgroundError(
-                    "is missing, though the frame has depth",
-                    where=path,
-                    todo="complete the walk, or remove what it has only in part",
-                )
-        path = poses[number]
-        pose = parse_matrix(read_text(path), where=path)
-        if is_tracked(pose):
-            pose = opencv_from_opengl(require_rigid(pose, where=path))
-            frames.append(_Files(number, colors[number], depth, things.get(number), pose))
-    if not frames:
-        raise ProgroundError(
-            f"none of the {len(depths)} frames has a pose",
-            where=source / "pose",
-            todo="render the walk again",
-        )
-    return frames, len(depths) - len(frames)
+def _find_frames(source: Path) -> tuple[list[FrameFiles], int]:
+    """The frames that have a pose, in our axes, and the number of the others."""
+    name = r".+[_-](\d+)\."
+    frames, lost = find_frames(
+        Numbered(source / "depth", name + "png", "<scene>_000000.png"),
+        Numbered(source / "rgb", name + "(?:png|jpe?g)", "{stem}.png"),
+        pose_files(Numbered(source / "pose", name + "txt", "{stem}.txt")),
+        rate_hz=FRAME_RATE_HZ,
+        instances=Numbered(source / "semantic", name + "npy", "{stem}.npy"),
+        todo="give the folder of a walk as HOV-SG's script renders it",
+    )
+    return [
+        replace(files, world_from_camera=opencv_from_opengl(files.world_from_camera))
+        for files in frames
+    ], lost
 
 
 def _read_instances(path: Path, camera: Camera) -> np.ndarray:

@@ -21,7 +21,7 @@ from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
 from recorders.formats.tum import read_trajectory
 from recorders.reading.association import SECOND_NS, frame_stamp_ns, read_text
-from recorders.reading.images import read_color, read_depth
+from recorders.reading.frame_files import FrameFiles
 from recorders.reading.layout import holds
 
 FRAME_RATE_HZ = 30
@@ -62,7 +62,6 @@ class IclNuimSource:
         Raises:
             ProgroundError: a file is missing or broken, or no frame has a pose.
         """
-        self._folder = source
         self.calibration = calibration or Calibration.registered(CAMERA)
         self.label_names: dict[int, str] = {}
         self.warnings: tuple[str, ...] = ()
@@ -70,7 +69,17 @@ class IclNuimSource:
         path = trajectory or _only_pose_file(source)
         read = _read_blocks if path.suffix == ".sim" else _read_numbered
         poses = read(path, [number for number, _ in pairs])
-        self._frames = [(*pair, FLIP @ poses[pair[0]] @ FLIP) for pair in pairs if pair[0] in poses]
+        self._frames = [
+            FrameFiles(
+                stamp_ns=frame_stamp_ns(number, FRAME_RATE_HZ),
+                color_stamp_ns=frame_stamp_ns(color_number, FRAME_RATE_HZ),
+                color=source / "rgb" / f"{color_number}.png",
+                depth=source / "depth" / f"{number}.png",
+                world_from_camera=FLIP @ poses[number] @ FLIP,
+            )
+            for number, color_number in pairs
+            if number in poses
+        ]
         self.notes = {
             "frames without a pose": str(len(pairs) - len(self._frames)),
             "world axes": "the published world, which is left-handed, with its y axis turned over",
@@ -87,18 +96,7 @@ class IclNuimSource:
 
     def frame(self, index: int) -> SensorFrame:
         """Read frame `index`; its depth is float32 in metres."""
-        number, color_number, pose = self._frames[index]
-        color = read_color(self._folder / "rgb" / f"{color_number}.png", self.calibration.color)
-        depth = read_depth(self._folder / "depth" / f"{number}.png", self.calibration.depth)
-        return SensorFrame(
-            index=index,
-            stamp_ns=frame_stamp_ns(number, FRAME_RATE_HZ),
-            color_stamp_ns=frame_stamp_ns(color_number, FRAME_RATE_HZ),
-            color=color.data,
-            color_format=color.format,
-            depth=np.divide(depth, DEPTH_PER_M, dtype=np.float32),
-            world_from_camera=pose,
-        )
+        return self._frames[index].read(index, self.calibration, depth_per_m=DEPTH_PER_M)
 
     def ground_truth_mesh(self) -> bytes | None:
         """The published mesh has no labels."""

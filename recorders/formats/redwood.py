@@ -22,7 +22,8 @@ from recorders.reading.association import (
     read_text,
     span_ns,
 )
-from recorders.reading.images import numbered_files, read_color, read_depth
+from recorders.reading.frame_files import FrameFiles
+from recorders.reading.images import numbered_files
 from recorders.reading.json_file import read_json
 from recorders.reading.layout import holds
 
@@ -74,7 +75,11 @@ class RedwoodSource:
         poses = _read_log(path, images=len(depths))
         limit_ns = span_ns(max_time_difference_s, name="max_time_difference_s")
         pairs = associate([at for at, _ in depths], [at for at, _ in colors], limit_ns)
-        self._frames = [(depths[i], colors[j], poses[i]) for i, j in pairs if i in poses]
+        self._frames = [
+            FrameFiles(depths[i][0], colors[j][0], colors[j][1], depths[i][1], poses[i])
+            for i, j in pairs
+            if i in poses
+        ]
         self.notes = {
             "images without a partner": str(len(depths) - len(pairs)),
             "frames without a pose": str(len(pairs) - len(self._frames)),
@@ -93,17 +98,7 @@ class RedwoodSource:
 
     def frame(self, index: int) -> SensorFrame:
         """Read frame `index`; its depth is uint16 in millimetres."""
-        (stamp_ns, depth_path), (color_stamp_ns, color_path), pose = self._frames[index]
-        color = read_color(color_path, self.calibration.color)
-        return SensorFrame(
-            index=index,
-            stamp_ns=stamp_ns,
-            color_stamp_ns=color_stamp_ns,
-            color=color.data,
-            color_format=color.format,
-            depth=read_depth(depth_path, self.calibration.depth),
-            world_from_camera=pose,
-        )
+        return self._frames[index].read(index, self.calibration)
 
     def ground_truth_mesh(self) -> bytes | None:
         """None with labels."""

@@ -15,10 +15,13 @@ import numpy as np
 from proground_log.camera import Calibration, Camera
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
-from recorders.formats.replica_frames import Images, find_frames
-from recorders.formats.replica_labels import INFO_NAME, find_mesh, read_label_names
-from recorders.reading.association import frame_stamp_ns, parse_pose
-from recorders.reading.images import read_color, read_depth, read_labels
+from recorders.formats.replica_labels import (
+    INFO_NAME,
+    find_mesh,
+    read_label_names,
+    truth_images,
+)
+from recorders.reading.frame_files import Numbered, find_frames, pose_lines
 from recorders.reading.json_file import read_json
 from recorders.reading.layout import holds
 
@@ -50,11 +53,14 @@ class ReplicaSource:
         params_path = _here_or_above(source, "cam_params.json")
         camera, self._depth_per_m = _read_camera(params_path)
         self.calibration = calibration or Calibration.registered(camera)
-        self._frames = find_frames(
-            source,
-            Images(source / "results", "frame", 6, ("jpg", "jpeg", "png")),
-            Images(source / "results", "depth", 6),
-            source / "traj.txt",
+        results = source / "results"
+        self._frames, _ = find_frames(
+            Numbered(results, r"depth(\d+)\.png", "depth{number:06d}.png"),
+            Numbered(results, r"frame(\d+)\.(?:jpe?g|png)", "frame{number:06d}.jpg"),
+            pose_lines(source / "traj.txt"),
+            rate_hz=FRAME_RATE_HZ,
+            **truth_images(source),
+            todo="give a rendering of Replica",
         )
         self._mesh, self.notes = find_mesh(source)
         self.label_names: dict[int, str] = {}
@@ -67,22 +73,7 @@ class ReplicaSource:
 
     def frame(self, index: int) -> SensorFrame:
         """Read frame `index`; its depth is float32 in metres."""
-        files = self._frames[index]
-        camera = self.calibration.color
-        color = read_color(files.color, camera)
-        depth = read_depth(files.depth, self.calibration.depth)
-        stamp_ns = frame_stamp_ns(files.number, FRAME_RATE_HZ)
-        return SensorFrame(
-            index=index,
-            stamp_ns=stamp_ns,
-            color_stamp_ns=stamp_ns,
-            color=color.data,
-            color_format=color.format,
-            depth=np.divide(depth, self._depth_per_m, dtype=np.float32),
-            world_from_camera=parse_pose(files.pose_text, where=files.pose_where),
-            labels=read_labels(files.labels, camera) if files.labels else None,
-            instances=read_labels(files.instances, camera) if files.instances else None,
-        )
+        return self._frames[index].read(index, self.calibration, depth_per_m=self._depth_per_m)
 
     def ground_truth_mesh(self) -> bytes | None:
         """The bytes of *mesh_semantic*.ply, where there is one and its vertices have labels."""

@@ -14,12 +14,21 @@ import numpy as np
 
 from proground_log.errors import ProgroundError
 from proground_log.files import require_file
+from recorders.reading.frame_files import Numbered
 from recorders.reading.json_file import read_json
 
 INFO_NAME = "info_semantic.json"
 LARGEST_CLASS = 2**16 - 1
 PLY_HEADER_BYTES = 2**16
 """More than any header of a PLY has."""
+
+
+def truth_images(source: Path) -> dict[str, Numbered]:
+    """The images of classes and of things, which some renderings have, by what a frame has."""
+    return {
+        name: Numbered(source / kind, rf"{kind}_(\d+)\.png", f"{kind}_{{number}}.png")
+        for name, kind in (("labels", "semantic_class"), ("instances", "semantic_instance"))
+    }
 
 
 def read_label_names(path: Path) -> dict[int, str]:

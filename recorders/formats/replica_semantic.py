@@ -8,6 +8,7 @@ the sequence or its scene.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,15 +16,15 @@ import numpy as np
 from proground_log.camera import Calibration, Camera
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
-from recorders.formats.replica_frames import FrameFiles, Images, find_frames
 from recorders.formats.replica_labels import (
     INFO_NAME,
     find_mesh,
     read_instance_classes,
     read_label_names,
+    truth_images,
 )
-from recorders.reading.association import frame_stamp_ns, parse_pose
-from recorders.reading.images import read_color, read_depth, read_encoded, read_labels
+from recorders.reading.frame_files import FrameFiles, Numbered, find_frames, pose_lines
+from recorders.reading.images import read_encoded
 from recorders.reading.layout import holds
 
 FRAME_RATE_HZ = 30
@@ -53,11 +54,13 @@ class ReplicaSemanticSource:
             ProgroundError: a file is missing or broken, there are no frames, or the images have
                 another size than the renderers'.
         """
-        self._frames = find_frames(
-            source,
-            Images(source / "rgb", "rgb_"),
-            Images(source / "depth", "depth_"),
-            source / "traj_w_c.txt",
+        self._frames, _ = find_frames(
+            Numbered(source / "depth", r"depth_(\d+)\.png", "depth_{number}.png"),
+            Numbered(source / "rgb", r"rgb_(\d+)\.png", "rgb_{number}.png"),
+            pose_lines(source / "traj_w_c.txt"),
+            rate_hz=FRAME_RATE_HZ,
+            **truth_images(source),
+            todo="give a rendering of Replica",
         )
         first = self._frames[0]
         self.calibration = calibration or _calibration_by_size(first.color)
@@ -77,24 +80,11 @@ class ReplicaSemanticSource:
     def frame(self, index: int) -> SensorFrame:
         """Read frame `index`; its depth is uint16 in millimetres."""
         files = self._frames[index]
-        camera = self.calibration.color
-        color = read_color(files.color, camera)
-        instances = read_labels(files.instances, camera) if files.instances else None
-        labels = read_labels(files.labels, camera) if files.labels else None
-        if instances is not None and self._class_of_instance is not None:
-            labels = _classes_of(instances, self._class_of_instance, files)
-        stamp_ns = frame_stamp_ns(files.number, FRAME_RATE_HZ)
-        return SensorFrame(
-            index=index,
-            stamp_ns=stamp_ns,
-            color_stamp_ns=stamp_ns,
-            color=color.data,
-            color_format=color.format,
-            depth=read_depth(files.depth, self.calibration.depth),
-            world_from_camera=parse_pose(files.pose_text, where=files.pose_where),
-            labels=labels,
-            instances=instances,
-        )
+        frame = files.read(index, self.calibration)
+        if frame.instances is None or self._class_of_instance is None:
+            return frame
+        labels = _classes_of(frame.instances, self._class_of_instance, files)
+        return replace(frame, labels=labels)
 
     def ground_truth_mesh(self) -> bytes | None:
         """The bytes of *mesh_semantic*.ply, where there is one and its vertices have labels."""

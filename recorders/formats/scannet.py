@@ -8,7 +8,7 @@ label-filt/%d.png, instance-filt/%d.png and *_vh_clean_2.ply, *_vh_clean_2.label
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,14 +18,9 @@ from proground_log.errors import ProgroundError
 from proground_log.files import nearest_above
 from proground_log.frame import SensorFrame
 from recorders.formats.scannet_sens import FRAME_RATE_HZ, camera_of, rig
-from recorders.reading.association import frame_stamp_ns, is_tracked, parse_matrix, read_text
-from recorders.reading.images import (
-    numbered_files,
-    read_color,
-    read_depth,
-    read_encoded,
-    read_labels,
-)
+from recorders.reading.association import parse_matrix, read_text
+from recorders.reading.frame_files import FrameFiles, Numbered, find_frames, pose_files
+from recorders.reading.images import read_encoded
 from recorders.reading.layout import holds
 
 LABEL_TABLE = "scannetv2-labels.combined.tsv"
@@ -76,18 +71,6 @@ NYU40 = (
     "otherfurniture",
     "otherprop",
 )
-
-
-@dataclass(frozen=True)
-class _Files:
-    """Where one frame is: its number, its images, and its pose, float64 [4, 4]."""
-
-    number: int
-    color: Path
-    depth: Path
-    labels: Path | None
-    instances: Path | None
-    world_from_camera: np.ndarray
 
 
 def recognise(source: Path) -> str | None:
@@ -157,23 +140,10 @@ class ScannetSource:
 
     def frame(self, index: int) -> SensorFrame:
         """Read frame `index`; its depth is uint16 in millimetres."""
-        files, camera = self._frames[index], self.calibration.color
-        color = read_color(files.color, camera)
-        labels = read_labels(files.labels, camera) if files.labels else None
-        if labels is not None and self._relabelled is not None:
-            labels = self._relabelled[labels]
-        stamp_ns = frame_stamp_ns(files.number, FRAME_RATE_HZ)
-        return SensorFrame(
-            index=index,
-            stamp_ns=stamp_ns,
-            color_stamp_ns=stamp_ns,
-            color=color.data,
-            color_format=color.format,
-            depth=read_depth(files.depth, self.calibration.depth),
-            world_from_camera=files.world_from_camera,
-            labels=labels,
-            instances=read_labels(files.instances, camera) if files.instances else None,
-        )
+        frame = self._frames[index].read(index, self.calibration)
+        if frame.labels is None or self._relabelled is None:
+            return frame
+        return replace(frame, labels=self._relabelled[frame.labels])
 
     def ground_truth_mesh(self) -> bytes | None:
         """The one labelled mesh where its classes are those of the images; without any classes,
@@ -186,55 +156,21 @@ def _only(source: Path, pattern: str) -> Path | None:
     return found[0] if len(found) == 1 else None
 
 
-def _find_frames(source: Path) -> tuple[list[_Files], int]:
-    """The frames that have a pose, each of them complete, and the number of the others."""
-    depths = numbered_files(source / "depth", r"(\d+)\.png")
-    if not depths:
-        raise ProgroundError(
-            "has no images such as 0.png",
-            where=source / "depth",
-            todo="export the scan with ScanNet's SensReader, or record its .sens file",
-        )
-    colors = numbered_files(source / "color", r"(\d+)\.(?:jpe?g|png)")
-    poses = numbered_files(source / "pose", r"(\d+)\.txt")
-    truth = {
-        name: numbered_files(source / name, r"(\d+)\.png") if (source / name).is_dir() else {}
-        for name in ("label-filt", "instance-filt")
-    }
-    frames = []
-    for number, depth in depths.items():
-        if number not in poses:
-            raise _incomplete(source / "pose" / f"{number}.txt")
-        pose_path = poses[number]
-        pose = parse_matrix(read_text(pose_path), where=pose_path)
-        if not is_tracked(pose):
-            continue
-        if number not in colors:
-            raise _incomplete(source / "color" / f"{number}.jpg")
-        for name, found in truth.items():
-            if found and number not in found:
-                raise _incomplete(source / name / f"{number}.png")
-        labels, instances = (found.get(number) for found in truth.values())
-        pose = require_rigid(pose, where=pose_path)
-        frames.append(_Files(number, colors[number], depth, labels, instances, pose))
-    if not frames:
-        raise ProgroundError(
-            f"none of the {len(depths)} frames has a pose",
-            where=source / "pose",
-            todo="record another scan: this one could not be tracked",
-        )
-    return frames, len(depths) - len(frames)
-
-
-def _incomplete(path: Path) -> ProgroundError:
-    return ProgroundError(
-        "is missing, though the frame has depth",
-        where=path,
-        todo="complete the scene, or remove what it has only in part",
+def _find_frames(source: Path) -> tuple[list[FrameFiles], int]:
+    """The frames that have a pose, and the number of the others."""
+    png, example = r"(\d+)\.png", "{number}.png"
+    return find_frames(
+        Numbered(source / "depth", png, example),
+        Numbered(source / "color", r"(\d+)\.(?:jpe?g|png)", "{number}.jpg"),
+        pose_files(Numbered(source / "pose", r"(\d+)\.txt", "{number}.txt")),
+        rate_hz=FRAME_RATE_HZ,
+        labels=Numbered(source / "label-filt", png, example),
+        instances=Numbered(source / "instance-filt", png, example),
+        todo="export a scan that was tracked with ScanNet's SensReader, or record its .sens file",
     )
 
 
-def _read_rig(source: Path, first: _Files) -> Calibration:
+def _read_rig(source: Path, first: FrameFiles) -> Calibration:
     """The cameras of the folder intrinsic, for images of the first frame's sizes."""
     cameras, base_from = {}, {}
     for name, image_path in (("color", first.color), ("depth", first.depth)):

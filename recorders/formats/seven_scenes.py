@@ -12,11 +12,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from proground_log.camera import Calibration, Camera, require_rigid
+from proground_log.camera import Calibration, Camera
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
-from recorders.reading.association import frame_stamp_ns, is_tracked, parse_matrix, read_text
-from recorders.reading.images import numbered_files, read_color, read_depth
+from recorders.reading.frame_files import Numbered, find_frames, pose_files
 from recorders.reading.layout import holds
 
 FRAME_RATE_HZ = 30
@@ -74,55 +73,23 @@ class SevenScenesSource:
         self.label_names: dict[int, str] = {}
         self.warnings: tuple[str, ...] = ()
         folder = _sequence_folder(source)
-        depths = numbered_files(folder, r"frame-(\d+)\.depth\.png")
-        colors = numbered_files(folder, r"frame-(\d+)\.color\.(?:png|jpe?g)")
-        poses = numbered_files(folder, r"frame-(\d+)\.pose\.txt")
-        if not depths:
-            raise ProgroundError(
-                "has no frame-*.depth.png",
-                where=folder,
-                todo="give a sequence folder of 7-Scenes, such as redkitchen/seq-01",
-            )
-        for others, suffix in ((colors, "color.png (or .jpg)"), (poses, "pose.txt")):
-            for number in sorted(depths.keys() - others.keys()):
-                raise ProgroundError(
-                    "no such file, though the frame has depth",
-                    where=folder / f"frame-{number:06d}.{suffix}",
-                    todo="complete the sequence, or remove the frame's other files",
-                )
-        read = {n: parse_matrix(read_text(poses[n]), where=poses[n]) for n in depths}
-        self._frames = [
-            (number, colors[number], depths[number], require_rigid(pose, where=poses[number]))
-            for number, pose in read.items()
-            if is_tracked(pose)
-        ]
-        if not self._frames:
-            raise ProgroundError(
-                f"none of the {len(depths)} frames has a pose",
-                where=folder,
-                todo="record another sequence: this one could not be tracked",
-            )
-        self.notes = {"frames without a pose": str(len(depths) - len(self._frames))}
+        self._frames, lost = find_frames(
+            Numbered(folder, r"frame-(\d+)\.depth\.png", "frame-{number:06d}.depth.png"),
+            Numbered(folder, r"frame-(\d+)\.color\.(?:png|jpe?g)", "frame-{number:06d}.color.png"),
+            pose_files(Numbered(folder, r"frame-(\d+)\.pose\.txt", "frame-{number:06d}.pose.txt")),
+            rate_hz=FRAME_RATE_HZ,
+            todo="give a sequence folder of 7-Scenes that was tracked, such as redkitchen/seq-01",
+        )
+        self.notes = {"frames without a pose": str(lost)}
 
     def __len__(self) -> int:
         return len(self._frames)
 
     def frame(self, index: int) -> SensorFrame:
         """Read frame `index`; its depth is uint16 in millimetres, 0 where nothing was measured."""
-        number, color_path, depth_path, pose = self._frames[index]
-        color = read_color(color_path, self.calibration.color)
-        depth = read_depth(depth_path, self.calibration.depth)
-        depth[depth == INVALID_DEPTH_MM] = 0
-        stamp_ns = frame_stamp_ns(number, FRAME_RATE_HZ)
-        return SensorFrame(
-            index=index,
-            stamp_ns=stamp_ns,
-            color_stamp_ns=stamp_ns,
-            color=color.data,
-            color_format=color.format,
-            depth=depth,
-            world_from_camera=pose,
-        )
+        frame = self._frames[index].read(index, self.calibration)
+        frame.depth[frame.depth == INVALID_DEPTH_MM] = 0
+        return frame
 
     def ground_truth_mesh(self) -> bytes | None:
         """7-Scenes has none."""

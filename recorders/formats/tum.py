@@ -24,7 +24,7 @@ from recorders.reading.association import (
     read_text,
     span_ns,
 )
-from recorders.reading.images import read_color, read_depth
+from recorders.reading.frame_files import FrameFiles
 from recorders.reading.layout import holds
 from recorders.reading.names import is_inside
 
@@ -152,40 +152,35 @@ class TumSource:
             (depths[i], colors[j]) for i, j in associate(depth_stamps_ns, color_stamps_ns, limit_ns)
         ]
         covered = trajectory.covers([depth_stamp_ns for (depth_stamp_ns, _), _ in pairs])
-        self._frames = [pairs[i] for i in np.flatnonzero(covered)]
+        with_pose = [pairs[i] for i in np.flatnonzero(covered)]
         self.notes = {
             "images without a partner": str(len(depths) - len(pairs)),
-            "pairs without a pose": str(len(pairs) - len(self._frames)),
+            "pairs without a pose": str(len(pairs) - len(with_pose)),
             **self._rig.notes,
         }
         self.warnings: tuple[str, ...] = ()
-        if not self._frames:
+        if not with_pose:
             raise ProgroundError(
                 f"no frame: {len(depths)} depth and {len(colors)} colour images make "
                 f"{len(pairs)} pairs within {max_time_difference_s} s, none with a pose",
                 where=source,
                 todo="check the times in depth.txt, rgb.txt and groundtruth.txt",
             )
-        listed = trajectory.at([depth_stamp_ns for (depth_stamp_ns, _), _ in self._frames])
-        self._poses = self._rig.world_from_listed @ listed @ self._rig.tracked_from_camera
+        listed = trajectory.at([depth_stamp_ns for (depth_stamp_ns, _), _ in with_pose])
+        poses = self._rig.world_from_listed @ listed @ self._rig.tracked_from_camera
+        self._frames = [
+            FrameFiles(depth_stamp_ns, color_stamp_ns, color, depth, pose)
+            for ((depth_stamp_ns, depth), (color_stamp_ns, color)), pose in zip(
+                with_pose, poses, strict=True
+            )
+        ]
 
     def __len__(self) -> int:
         return len(self._frames)
 
     def frame(self, index: int) -> SensorFrame:
         """Read frame `index`; its depth is float32 in metres, its pose interpolated."""
-        (stamp_ns, depth_path), (color_stamp_ns, color_path) = self._frames[index]
-        color = read_color(color_path, self.calibration.color)
-        depth = read_depth(depth_path, self.calibration.depth)
-        return SensorFrame(
-            index=index,
-            stamp_ns=stamp_ns,
-            color_stamp_ns=color_stamp_ns,
-            color=color.data,
-            color_format=color.format,
-            depth=np.divide(depth, self._rig.depth_per_m, dtype=np.float32),
-            world_from_camera=self._poses[index],
-        )
+        return self._frames[index].read(index, self.calibration, depth_per_m=self._rig.depth_per_m)
 
     def ground_truth_mesh(self) -> bytes | None:
         """TUM RGB-D has none."""

@@ -62,6 +62,9 @@ def span_ns(seconds: float, *, name: str) -> int:
 
     Raises:
         ProgroundError: it is no number from 0 to 1e9 seconds, some 30 years.
+
+    >>> span_ns(0.02, name="--max-time-difference-s")
+    20000000
     """
     if not 0 <= seconds <= LONGEST_SPAN_S:
         todo = f"choose seconds from 0 to {LONGEST_SPAN_S:g}"
@@ -70,7 +73,11 @@ def span_ns(seconds: float, *, name: str) -> int:
 
 
 def frame_stamp_ns(number: int, rate_hz: int) -> int:
-    """Time of frame `number` of a source that has a frame rate and no clock, rounded down."""
+    """Time of frame `number` of a source that has a frame rate and no clock, rounded down.
+
+    >>> frame_stamp_ns(2, rate_hz=30)
+    66666666
+    """
     return number * SECOND_NS // rate_hz
 
 
@@ -121,6 +128,9 @@ def associate(
 
     Returns:
         Pairs of indices (into first_ns, into second_ns), in the order of the first's stamps.
+
+    >>> associate([0, 100, 200], [90, 195, 230], max_difference_ns=20)
+    [(1, 0), (2, 1)]
     """
     first, second = np.asarray(first_ns, dtype=np.int64), np.asarray(second_ns, dtype=np.int64)
     order = np.argsort(second, kind="stable")

@@ -10,7 +10,11 @@ LONGEST_BYTES = 2**11
 
 
 def is_inside(name: str) -> bool:
-    """Whether a name leads to a place within the data set's folder, and could be a file's."""
+    """Whether a name leads to a place within the data set's folder, and could be a file's.
+
+    >>> is_inside("depth/0001.png"), is_inside("../../etc/passwd"), is_inside("/etc/passwd")
+    (True, False, False)
+    """
     path = PurePosixPath(name)
     parts = [part.encode(errors="surrogatepass") for part in path.parts]
     return (

@@ -71,9 +71,9 @@ def scores(result: SeedResults, name: str) -> dict[str, float]:
 def write_csv(folder: Path, table: int, results: Mapping[int, SeedResults]) -> list[Path]:
     """Every figure of every seed, and every semantic loss, as CSV files."""
     figures, losses = folder / f"table{table}.csv", folder / f"table{table}_losses.csv"
-    some = list(results.values())
+    of_seeds = list(results.values())
     with written_whole(figures) as temporary, temporary.open("w", newline="") as stream:
-        names = list(scores(some[0], next(iter(some[0]))))
+        names = list(scores(of_seeds[0], next(iter(of_seeds[0]))))
         writer = csv.writer(stream)
         writer.writerow(["seed", "variant", *names])
         for seed, result in results.items():
@@ -94,23 +94,23 @@ def draw(folder: Path, table: int, results: Mapping[int, SeedResults]) -> list[P
     """Top-1 by variant, and the curves of the semantic loss (the paper's Fig. 4), as PNG."""
     from matplotlib.figure import Figure
 
-    some = list(results.values())
-    variants = list(some[0])
+    of_seeds = list(results.values())
+    variants = list(of_seeds[0])
     bars, curves = folder / f"table{table}.png", folder / f"table{table}_losses.png"
     figure = Figure(figsize=(7, 0.45 * len(variants) + 1.2), layout="constrained")
     axes = figure.add_subplot()
     for place, name in enumerate(variants):
-        values = [scores(result, name)["top1_percent"] for result in some]
+        values = [scores(result, name)["top1_percent"] for result in of_seeds]
         axes.barh(place, mean(values), xerr=stdev(values) if len(values) > 1 else None, capsize=3)
     axes.set_yticks(range(len(variants)), variants)
     axes.invert_yaxis()
-    axes.set_xlabel(f"Top-1 accuracy in percent, mean of {len(some)} seeds")
+    axes.set_xlabel(f"Top-1 accuracy in percent, mean of {len(of_seeds)} seeds")
     with written_whole(bars) as temporary:
         figure.savefig(temporary, format="png", dpi=150, metadata={"Software": None})
     figure = Figure(figsize=(7, 4), layout="constrained")
     axes = figure.add_subplot()
     for name in variants:
-        smooth = _smooth(_losses(some[0], name))
+        smooth = _smooth(_losses(of_seeds[0], name))
         axes.plot([SMOOTHED_STEPS * (n + 1) for n in range(len(smooth))], smooth, label=name)
     axes.set_xlabel("step")
     axes.set_ylabel("semantic loss")

@@ -61,11 +61,11 @@ def difference_table(first: Iterable[Entry], second: Iterable[Entry]) -> list[Di
             count(cause, f"event {entry['event']} only in the {whose}", entry)
 
     for moment, entry in _by_moment(first).items():
-        other = counterparts.pop(moment, None)
-        if other is None:
+        counterpart = counterparts.pop(moment, None)
+        if counterpart is None:
             lonely_line(entry, "first")
             continue
-        found, lonely = field_differences(_without_number(entry), _without_number(other))
+        found, lonely = field_differences(_without_number(entry), _without_number(counterpart))
         for difference in found:
             count(difference.cause, difference.name, entry, difference.ulp)
         for name in lonely:

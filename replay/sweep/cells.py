@@ -217,7 +217,7 @@ def run_jobs(
 
 
 def _block_ctrl_c() -> None:
-    """Leave Ctrl-C to the main thread; the processes that this thread starts inherit it."""
+    """Leave Ctrl-C to the main thread; the processes that this thread starts inherit it (POSIX)."""
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
 
 
@@ -240,7 +240,8 @@ def attempt(job: Job, is_stopping: Callable[[], bool]) -> str | None:
 def _replay_and_judge(job: Job, is_stopping: Callable[[], bool]) -> None:
     run = RunFolder(job.folder)
     if not _is_replayed(run):
-        run.evaluation.unlink(missing_ok=True)
+        if run.evaluation.is_file():
+            run.evaluation.unlink()
         replay(
             job.log_path,
             job.folder,

@@ -22,7 +22,7 @@ class LocalEngine:
 
     def __init__(self, workers: int | None = None) -> None:
         require_workers(workers)
-        self.places = workers or len(os.sched_getaffinity(0))
+        self.places = workers or _cores()
         self._context = get_context("spawn")
         self._stop = self._context.Event()
 
@@ -39,6 +39,12 @@ class LocalEngine:
     def stop(self) -> None:
         """Let all jobs stop after the frame at hand."""
         self._stop.set()
+
+
+def _cores() -> int:
+    """Cores that this process may use; macOS does not tell, and has all of them."""
+    affinity = getattr(os, "sched_getaffinity", None)
+    return (os.cpu_count() or 1) if affinity is None else len(affinity(0))
 
 
 _stop: Event

@@ -15,8 +15,6 @@ from proground_log.evaluation.top_k import KS, TopK, accuracy_of_ranks, truth_ra
 from proground_log.streams import stream
 
 
-@settings(max_examples=60, deadline=None)
-@given(seed=st.integers(0, 10**6), points=st.integers(1, 80), names=st.integers(1, 30))
 def top_k_accuracy(
     logits: np.ndarray,
     truth: np.ndarray,
@@ -30,6 +28,8 @@ def top_k_accuracy(
     )
 
 
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10**6), points=st.integers(1, 80), names=st.integers(1, 30))
 def test_every_figure_is_that_of_a_slow_count(seed: int, points: int, names: int) -> None:
     draw = stream(seed, "logits")
     # Few different values, so that there are ties.

@@ -17,7 +17,7 @@ from mcap.writer import CompressionType
 from proground_log.camera import Camera
 from proground_log.frame import SensorFrame
 from recorders.formats.scannetpp_depth import HEIGHT, WIDTH
-from tests.evaluation.test_label_lists import ply
+from tests.evaluation.labelled_ply import ply
 from tests.recorders import test_arkitscenes as arkitscenes
 from tests.recorders import test_colmap as colmap
 from tests.recorders import test_nerfstudio as nerfstudio
@@ -27,8 +27,8 @@ from tests.recorders import test_ros1_bag as ros1_bag
 from tests.recorders import test_scannet_sens as scannet_sens
 from tests.recorders import test_scannetpp as scannetpp
 from tests.recorders import test_tum as tum
-from tests.ros_bags import room_messages, write_mcap
-from tests.small_source import CAMERA, SmallSource, write_log
+from tests.writers.ros_bags import room_messages, write_mcap
+from tests.writers.small_source import CAMERA, SmallSource, write_log
 
 FRAMES = 3
 

@@ -20,8 +20,8 @@ from tests.fuzz import inputs
 from tests.fuzz.containers import of_png, of_records, of_sens, of_zip
 from tests.fuzz.mcap_records import of_mcap
 from tests.fuzz.mutations import Mutator, of_bytes, of_words
-from tests.recorders.test_colmap import METRES_PER_UNIT, write_binary, write_text
-from tests.recorders.test_tum import CALIBRATION
+from tests.writers.colmap import METRES_PER_UNIT, write_binary, write_text
+from tests.writers.tum import CALIBRATION
 
 
 @dataclass(frozen=True)

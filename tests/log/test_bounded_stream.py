@@ -14,7 +14,7 @@ from proground_log.log.bounded_stream import LARGEST_CHUNK_BYTES, BoundedStream
 from proground_log.log.checking.check import check_log
 from proground_log.log.reader import LogReader
 from tests.fuzz.mcap_records import with_first_chunk
-from tests.small_source import SmallSource, write_log
+from tests.writers.small_source import SmallSource, write_log
 
 
 def test_it_reads_as_the_stream_does() -> None:

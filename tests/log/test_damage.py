@@ -12,14 +12,14 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.well_known import MessageEncoding
 from mcap.writer import Writer
-from rewriting import rewrite
 
 from proground_log.errors import ProgroundError
 from proground_log.log import topics
 from proground_log.log.checking.check import check_log
 from proground_log.log.reader import LogReader
 from proground_log.log.writer import register_schema, start_mcap
-from tests.small_source import SmallSource, write_log
+from tests.log.rewriting import rewrite
+from tests.writers.small_source import SmallSource, write_log
 
 
 def everything(path: Path) -> list[object]:

@@ -16,7 +16,6 @@ from mcap.reader import NonSeekingReader, make_reader
 from mcap.records import Chunk, DataEnd, Footer
 from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
-from rosidl_names import DEFINED_TYPES
 from scipy.spatial.transform import Rotation
 
 from proground_log.camera import Calibration, Camera
@@ -28,7 +27,16 @@ from proground_log.log.messages import DEFINITIONS
 from proground_log.log.reader import LogReader
 from proground_log.log.recording import Origin, Recording
 from proground_log.log.writer import open_writer
-from tests.small_source import BOUNDS, CAMERA, LABEL_NAMES, MESH, SmallSource, with_frame, write_log
+from tests.log.rosidl_names import DEFINED_TYPES
+from tests.writers.small_source import (
+    BOUNDS,
+    CAMERA,
+    LABEL_NAMES,
+    MESH,
+    SmallSource,
+    with_frame,
+    write_log,
+)
 
 COLOR = Camera(40, 30, 38.5, 38.25, 20.125, 14.875, (0.1, -0.05, 0.002, -0.001, 0.01))
 DEPTH_FROM_COLOR = np.eye(4)

@@ -15,7 +15,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
-from rewriting import rewrite
 
 from proground_log.camera import Calibration, Camera
 from proground_log.errors import ProgroundError
@@ -28,8 +27,9 @@ from proground_log.log.region_message import decode_regions, encode_regions
 from proground_log.log.registration import JUMP_M, JUMP_SHARE, Registration
 from proground_log.log.task_record import TaskRecord
 from proground_log.regions import EMBEDDING_WIDTH, Regions
+from tests.log.rewriting import rewrite
 from tests.regions import TASK, LabelPerceiver, write_perceived_log
-from tests.small_source import CAMERA, SmallSource, write_log
+from tests.writers.small_source import CAMERA, SmallSource, write_log
 
 BAD = 3
 """The frame that is broken."""

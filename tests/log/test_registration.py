@@ -15,7 +15,7 @@ from proground_log.errors import ProgroundError
 from proground_log.frame import Frame, SensorFrame
 from proground_log.log.reader import LogReader
 from proground_log.log.registration import OCCLUSION_TOLERANCE_M, Registration
-from tests.small_source import CAMERA, SmallSource
+from tests.writers.small_source import CAMERA, SmallSource
 
 COLOR = Camera(48, 40, 40.0, 41.0, 24.5, 19.0)
 LENS = (0.12, -0.2, 0.003, -0.002, 0.05)

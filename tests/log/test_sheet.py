@@ -19,7 +19,7 @@ from proground_log.log.reader import LogReader
 from proground_log.log.sheet import MAP_AXES, draw_sheet, map_axes
 from proground_log.palette import label_colors
 from recorders.record import record
-from tests.small_source import SmallSource, write_log
+from tests.writers.small_source import SmallSource, write_log
 
 
 def drawn(log: Path, output: Path) -> np.ndarray:

@@ -20,7 +20,7 @@ from proground_log.log.reader import LogReader
 from recorders.record import record
 from recorders.recover import recover
 from tests.full_disk import largest_file
-from tests.small_source import SmallSource
+from tests.writers.small_source import SmallSource
 
 FRAMES = 300
 SECOND_NS = 1_000_000_000
@@ -30,7 +30,7 @@ import sys, time
 from pathlib import Path
 from proground_log.frame import Selection
 from recorders.record import record
-from tests.small_source import SmallSource
+from tests.writers.small_source import SmallSource
 
 class Slow(SmallSource):
     def frame(self, index):

@@ -34,7 +34,7 @@ from proground_log.perception.summary import PerceivedSummary
 from proground_log.regions import Regions
 from tests.full_disk import largest_file
 from tests.regions import TASK, LabelPerceiver, description
-from tests.small_source import SmallSource, write_log
+from tests.writers.small_source import SmallSource, write_log
 
 FRAMES = 8
 

@@ -7,7 +7,7 @@ import pytest
 from proground_log.errors import ProgroundError
 from recorders import registry
 from recorders.registry import FORMATS, Detection, Format, detect, open_source
-from tests.recorders.test_replica import write_scene
+from tests.writers.replica import write_scene
 
 
 def in_layout(folder: Path, *files: str) -> Path:

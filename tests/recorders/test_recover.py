@@ -22,7 +22,7 @@ from proground_log.log.checking.check import check_log
 from proground_log.log.reader import LogReader
 from recorders.recover import SUFFIX, Recovery, recover
 from tests.regions import write_perceived_log
-from tests.small_source import CAMERA, LABEL_NAMES, MESH, SmallSource, with_frame, write_log
+from tests.writers.small_source import CAMERA, LABEL_NAMES, MESH, SmallSource, with_frame, write_log
 
 COUNT = 8
 Frames = dict[int, dict[str, bytes]]

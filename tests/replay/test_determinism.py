@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -14,7 +13,6 @@ from pathlib import Path
 import pytest
 
 from proground_log.errors import ProgroundError
-from proground_log.events import Event, FrameDone
 from proground_log.frame import Selection
 from proground_log.run.folder import RunFolder
 from proground_log.run.ledger import bits_float, read_ledger
@@ -24,44 +22,8 @@ from recorders.room import RoomSource
 from replay.divergence.diff import compare_runs
 from replay.session import ReplayStoppedError, replay
 from tests.full_disk import largest_file
-from tests.replay.golden import CASES, COST, SMALL, golden_path, machine, replay_case
-
-SMALL_FLAGS = [
-    *("--steps", "3"),
-    *("--hold-out-every", "5"),
-    *("--digest-every", "4"),
-    *("--checkpoint-every", "4"),
-    *("--cost", COST),
-    *("--mapper.field.log2-rows", "12"),
-    *("--mapper.field.levels", "8"),
-    *("--mapper.field.voxel-m", "0.05"),
-    *("--mapper.sampling.rays", "128"),
-    *("--mapper.sampling.uniform", "10"),
-    *("--mapper.sampling.near-surface", "7"),
-    *("--mapper.buffer.capacity", "3000"),
-    *("--keyframe-every", "2"),
-    *("--mapper.buffer.keyframe-samples", "900"),
-    *("--telemetry.view-every", "4"),
-    *("--telemetry.view-width", "40"),
-    *("--telemetry.mesh-every", "8"),
-    *("--telemetry.mesh-voxel-m", "0.15"),
-]
-
-
-class StopAfter:
-    """Presses Ctrl-C after so many frames, as a user would: with a signal."""
-
-    def __init__(self, frames: int) -> None:
-        self._left = frames
-
-    def on_event(self, event: Event) -> None:
-        if isinstance(event, FrameDone):
-            self._left -= 1
-            if self._left == 0:
-                os.kill(os.getpid(), signal.SIGINT)
-
-    def close(self) -> None:
-        pass
+from tests.replay.golden import CASES, SMALL, golden_path, machine, replay_case
+from tests.replay.small_replay import SMALL_FLAGS, StopAfter, ledger_bytes
 
 
 @pytest.fixture(scope="module")
@@ -69,10 +31,6 @@ def reference_run(room_log: Path, tmp_path_factory: pytest.TempPathFactory) -> P
     run = tmp_path_factory.mktemp("reference") / "run"
     replay(room_log, run, SMALL)
     return run
-
-
-def ledger_bytes(run: Path) -> bytes:
-    return RunFolder(run).ledger.read_bytes()
 
 
 def test_twice_is_the_same(room_log: Path, reference_run: Path, tmp_path: Path) -> None:
@@ -264,7 +222,7 @@ def test_resume_refuses_another_log_and_other_options(room_log: Path, tmp_path: 
         replay(room_log, run, SMALL, watchers=lambda _: [StopAfter(2)])
     with pytest.raises(ProgroundError, match="settings are not what the run was started with"):
         replay(room_log, run, ReplayConfig(steps=7), resume=True)
-    with pytest.raises(ProgroundError, match="not the one"):
+    with pytest.raises(ProgroundError, match="log is not what"):
         replay(other_log(tmp_path / "other.mcap"), run, ReplayConfig(), resume=True)
     moved = tmp_path / "moved.mcap"
     moved.write_bytes(room_log.read_bytes())

@@ -16,7 +16,7 @@ from proground_log.frame import Selection, SensorFrame
 from proground_log.run.folder import RunFolder
 from proground_log.streams import stream
 from recorders.record import record
-from tests.replay.test_determinism import SMALL_FLAGS
+from tests.replay.small_replay import SMALL_FLAGS
 
 CAMERA = Camera(160, 120, 120.0, 120.0, 80.0, 60.0)
 ALLOWED_MB = 40

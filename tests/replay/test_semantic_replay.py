@@ -24,7 +24,7 @@ from proground_log.run.settings import ReplayConfig
 from replay.ablation.variants import Variant, run_variants, weighting_and_filtering
 from replay.session import ReplayStoppedError, replay
 from tests.replay.golden import SMALL, perceiver_of
-from tests.replay.test_determinism import SMALL_FLAGS, StopAfter, ledger_bytes
+from tests.replay.small_replay import SMALL_FLAGS, StopAfter, ledger_bytes
 
 
 @pytest.fixture(scope="module")

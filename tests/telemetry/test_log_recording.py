@@ -16,7 +16,7 @@ from proground_log.camera import Calibration
 from proground_log.frame import SensorFrame
 from proground_log.palette import label_colors
 from proground_log.telemetry.log_recording import write_log_recording
-from tests.small_source import CAMERA, LABEL_NAMES, SmallSource, write_log
+from tests.writers.small_source import CAMERA, LABEL_NAMES, SmallSource, write_log
 
 Cells = dict[tuple[str, str], list[Any]]
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 import rerun as rr
-from telemetry_cells import rows_of
 
 from proground_log.errors import ProgroundError
 from proground_log.telemetry.rerun_sink import recording_written
 from tests.full_disk import largest_file
+from tests.telemetry.telemetry_cells import rows_of
 
 
 def write(path: Path, text: str) -> None:

@@ -8,9 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import telemetry_stream as stream
 from rerun.components import AggregationPolicy, InterpolationMode
-from telemetry_cells import Rows, cells_of, rows_of, scalars
 
 from proground_log.events import (
     Event,
@@ -24,6 +22,8 @@ from proground_log.events import (
 from proground_log.telemetry.rerun_sink import TelemetrySink
 from proground_log.telemetry.segments import merge_segments
 from replay.scheduler import Policy
+from tests.telemetry import telemetry_stream as stream
+from tests.telemetry.telemetry_cells import Rows, cells_of, rows_of, scalars
 
 FRAMES = 24
 STAGES = ("decode", "perceive", "insert", "step")

@@ -8,19 +8,19 @@ import warnings
 from pathlib import Path
 
 import pytest
-import telemetry_stream as stream
 from rerun.chunk import RrdReader
-from telemetry_cells import cells_of
 
 from proground_log.errors import ProgroundError
 from proground_log.events import TaskKnown
 from proground_log.telemetry.rerun_sink import TelemetrySink
 from proground_log.telemetry.segments import merge_segments
+from tests.telemetry import telemetry_stream as stream
+from tests.telemetry.telemetry_cells import cells_of
 
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-import telemetry_stream as stream
+from tests.telemetry import telemetry_stream as stream
 from proground_log.telemetry.rerun_sink import TelemetrySink
 
 sink = TelemetrySink(Path(sys.argv[1]), recording_id="run")
@@ -60,7 +60,7 @@ def whole(
 @pytest.fixture
 def killed(tmp_path: Path) -> Path:
     path = tmp_path / "killed.rrd"
-    here = Path(__file__).parent
+    here = Path(__file__).parents[2]
     done = subprocess.run([sys.executable, "-c", KILLED, str(path)], cwd=here, check=False)
     assert done.returncode == -9
     with pytest.raises(RuntimeError):

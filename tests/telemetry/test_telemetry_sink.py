@@ -9,14 +9,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-import telemetry_stream as stream
 from rerun.chunk import RrdReader
-from telemetry_cells import Rows, rows_of, scalars
 
 from proground_log.events import Event, FrameArrived, StepDone
 from proground_log.telemetry.images import color_error, fit_width
 from proground_log.telemetry.rerun_sink import TelemetrySink
 from proground_log.telemetry.segments import merge_segments
+from tests.telemetry import telemetry_stream as stream
+from tests.telemetry.telemetry_cells import Rows, rows_of, scalars
 
 FRAMES = range(6)
 

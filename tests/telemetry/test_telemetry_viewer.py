@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 import pytest
 import rerun.blueprint as rrb
-import telemetry_stream as stream
 
 from proground_log.bounds import Bounds
 from proground_log.camera import Calibration
@@ -25,6 +24,7 @@ from proground_log.telemetry.blueprint import replay_blueprint
 from proground_log.telemetry.rerun_sink import TelemetrySink
 from proground_log.telemetry.segments import merge_segments
 from proground_log.telemetry.viewer import screenshot, view
+from tests.telemetry import telemetry_stream as stream
 
 VULKAN_DRIVERS = [*Path("/usr/share/vulkan/icd.d").glob("*.json")]
 

@@ -24,10 +24,10 @@ import aiohttp
 import cv2
 import numpy as np
 import pytest
-import telemetry_stream as stream
 
 from proground_log.telemetry.rerun_sink import TelemetrySink
 from proground_log.telemetry.segments import merge_segments
+from tests.telemetry import telemetry_stream as stream
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "google-chrome", "chrome"))), None)
 START_TIMEOUT_S, DRAWN_WITHIN_S = 60, 120

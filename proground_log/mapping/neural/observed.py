@@ -33,9 +33,9 @@ class ObservedSurface:
 
     def add(self, frame: Frame) -> None:
         """Mark where the frame's depth lies."""
-        some = np.s_[PIXEL_STRIDE // 2 :: PIXEL_STRIDE, PIXEL_STRIDE // 2 :: PIXEL_STRIDE]
-        depth_m = frame.depth_m[some]
-        points_m = (frame.camera.directions[some] * depth_m[..., None])[depth_m > 0]
+        sparse = np.s_[PIXEL_STRIDE // 2 :: PIXEL_STRIDE, PIXEL_STRIDE // 2 :: PIXEL_STRIDE]
+        depth_m = frame.depth_m[sparse]
+        points_m = (frame.camera.directions[sparse] * depth_m[..., None])[depth_m > 0]
         points_m = transform(frame.world_from_camera, points_m)
         cells = self._cells(points_m[self.bounds.contains(points_m)])
         self.voxels[tuple(cells.T)] = True

@@ -103,8 +103,8 @@ def find_depth_images(folder: Path, names: Sequence[str]) -> dict[str, Path]:
     """
     if not folder.is_dir():
         raise ProgroundError("no such folder", where=folder, todo="check --depth")
-    same = {name: folder / str(PurePosixPath(name).with_suffix(".png")) for name in names}
-    found = {name: path for name, path in same.items() if path.is_file()}
+    namesakes = {name: folder / str(PurePosixPath(name).with_suffix(".png")) for name in names}
+    found = {name: path for name, path in namesakes.items() if path.is_file()}
     if not found:
         files = sorted(path.name for path in folder.iterdir() if path.suffix.lower() == ".png")
         depths = _by_number([f for f in files if "depth" in f.lower()] or files, where=folder)
