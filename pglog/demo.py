@@ -8,6 +8,7 @@ from pglog.perception import perceive_command
 from pglog.query import query_command
 from pglog.record import FormatOptions, record_command
 from pglog.runs import evaluate_command, replay_command
+from proground_log.perception.opening import PerceptionOptions
 from proground_log.run.settings import ReplayConfig
 
 
@@ -23,7 +24,8 @@ def demo_command(*, output: Output, seed: int = 0, overwrite: bool = False) -> i
     objects = output / "objects.rrd"
     options = FormatOptions(seed=seed)
     record_command("synthetic", output=room, options=options, overwrite=overwrite)
-    perceive_command(room, output=seen, simulated=True, seed=seed, overwrite=overwrite)
+    perception = PerceptionOptions(simulated=True, simulated_seed=seed)
+    perceive_command(room, output=seen, perception=perception, overwrite=overwrite)
     config = ReplayConfig(seed=seed, hold_out_every=10)
     replay_command(seen, output=run, config=config, overwrite=overwrite)
     evaluate_command(run)

@@ -17,7 +17,6 @@ from pglog.common import (
     print_table,
     shown_progress,
 )
-from proground_log.errors import ProgroundError
 from proground_log.perception.opening import PerceptionOptions, open_perceiver
 
 if TYPE_CHECKING:
@@ -28,13 +27,7 @@ def perceive_command(
     log: Log,
     *,
     output: Output,
-    task: Path | None = None,
-    detector: Path | None = None,
-    segmenter: Path | None = None,
-    vocabulary: Path | None = None,
-    text_encoder: Path | None = None,
-    simulated: bool = False,
-    seed: int | None = None,
+    perception: Annotated[PerceptionOptions, tyro.conf.arg(name="")] = PerceptionOptions(),
     overwrite: bool = False,
 ) -> int:
     """Find what a task asks for in each frame, and keep it in a new log.
@@ -42,13 +35,7 @@ def perceive_command(
     Args:
         log: the log (.mcap).
         output: the log to write, with regions (.mcap).
-        task: what to look for (.toml); with --simulated, by default all classes of the log.
-        detector: detects prompts (.onnx).
-        segmenter: finds masks for the detector's boxes (.onnx).
-        vocabulary: the prompts' embeddings (.npz).
-        text_encoder: computes the prompts' embeddings (.onnx).
-        simulated: find what the ground truth says, with errors like a detector's.
-        seed: simulated: of the errors, 0 by default.
+        perception: how regions are found.
         overwrite: replace the output.
     """
     from proground_log.files import require_free
@@ -56,14 +43,7 @@ def perceive_command(
     from proground_log.perception.perceive import perceive
 
     require_free(output, overwrite=overwrite)
-    if seed is not None and not simulated:
-        raise ProgroundError(
-            "--seed is for --simulated alone", where="perceive", todo="leave it out"
-        )
-    options = PerceptionOptions(
-        task, detector, segmenter, vocabulary, text_encoder, simulated, seed
-    )
-    perceiver = open_perceiver(LogReader(log), options)
+    perceiver = open_perceiver(LogReader(log), perception)
     try:
         with shown_progress("perceive") as progress:
             summary = perceive(log, perceiver, output, overwrite=overwrite, progress=progress)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PerceptionOptions:
-    """How regions are found; for a log that has none yet."""
+    """How regions are found."""
 
     task: Path | None = None
     """What to look for (.toml); with --simulated, by default all classes of the log."""
@@ -56,7 +56,7 @@ def open_perceiver(reader: LogReader, options: PerceptionOptions) -> Perceiver:
         _require_labels(reader)
         return simulated_perceiver(reader, asked_task(reader, options), options.simulated_seed or 0)
     if options.simulated_seed is not None:
-        raise _contradiction("a seed of errors is for --simulated alone")
+        raise _contradiction("--simulated-seed is for --simulated alone")
     if options.task is None:
         raise _missing("there is no task", "give one with --task")
     if "--detector" not in files:

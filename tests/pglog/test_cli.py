@@ -332,7 +332,7 @@ def test_perceive_simulated(pglog: Pglog, room_log: Path, task: Path, tmp_path: 
     assert json.loads(pglog("info", room_log, "--json").out)["task"] is None
     command = ["perceive", room_log, "--simulated", "--task", task, "-o"]
     assert pglog(*command, tmp_path / "b.mcap").code == 0
-    assert pglog(*command, tmp_path / "c.mcap", "--seed", 1).code == 0
+    assert pglog(*command, tmp_path / "c.mcap", "--simulated-seed", 1).code == 0
     first, again, other = ((tmp_path / f"{name}.mcap").read_bytes() for name in "abc")
     assert first == again != other
 
@@ -384,7 +384,7 @@ def test_wrong_options_of_perceive(
             ["--vocabulary and --text-encoder are both given"],
         ),
         (["--simulated", "--detector", detector], ["--simulated has no use for --detector"]),
-        (["--task", task, "--detector", detector, "--seed", 1], ["--seed is for --simulated"]),
+        (["--simulated-seed", 1], ["--simulated-seed is for --simulated"]),
         (["--simulated", "--task", "no.toml"], ["no.toml: no such file"]),
     ):
         answer = pglog("perceive", small_log, *options, "-o", tmp_path / "b.mcap")
