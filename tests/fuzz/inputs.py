@@ -18,15 +18,17 @@ from proground_log.camera import Camera
 from proground_log.frame import SensorFrame
 from recorders.formats.scannetpp_depth import HEIGHT, WIDTH
 from tests.evaluation.labelled_ply import ply
-from tests.recorders import test_arkitscenes as arkitscenes
-from tests.recorders import test_colmap as colmap
-from tests.recorders import test_nerfstudio as nerfstudio
-from tests.recorders import test_record3d as record3d
-from tests.recorders import test_redwood as redwood
-from tests.recorders import test_ros1_bag as ros1_bag
-from tests.recorders import test_scannet_sens as scannet_sens
-from tests.recorders import test_scannetpp as scannetpp
-from tests.recorders import test_tum as tum
+from tests.writers import (
+    arkitscenes,
+    colmap,
+    nerfstudio,
+    record3d,
+    redwood,
+    ros1_bag,
+    scannet_sens,
+    scannetpp,
+    tum,
+)
 from tests.writers.ros_bags import room_messages, write_mcap
 from tests.writers.small_source import CAMERA, SmallSource, write_log
 

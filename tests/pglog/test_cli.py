@@ -668,7 +668,7 @@ def write_png(path: Path, image: np.ndarray) -> None:
         (spoil_color, "is cut short"),
         (spoil_pose, "not rigid"),
         (resize_depth, "is 320x240, but the calibration is for 640x480"),
-        (remove_color, "no such file"),
+        (remove_color, "is missing"),
     ],
 )
 def test_a_broken_source(

@@ -150,6 +150,11 @@ def view(index: int, task: TaskKnown | None = None) -> ViewRendered:
     )
 
 
+def mapper_known(task: TaskKnown | None) -> MapperKnown:
+    """What the field's mapper says of itself at first."""
+    return MapperKnown("neural", True, counts(0, 0, task), task)
+
+
 def of_frames(
     indices: range, task: TaskKnown | None = None, policy: Policy = UNHURRIED
 ) -> Iterator[Event]:
@@ -160,7 +165,7 @@ def of_frames(
         task: told at first; None where there is none.
         policy: what is done with frames that arrive too fast.
     """
-    yield MapperKnown("neural", True, counts(0, 0, task), task)
+    yield mapper_known(task)
     step = free_ns = 0
     for slot in slots(indices.stop, policy):
         if slot.frame in indices:

@@ -143,9 +143,9 @@ def click_second_tabs(part: rrb.Container | rrb.View) -> None:
 
 @needs_vulkan
 def test_the_tabs_of_meaning_are_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    layout = replay_blueprint(with_semantics=True)
+    layout = replay_blueprint(stream.mapper_known(stream.TASK))
     click_second_tabs(layout.root_container)
-    monkeypatch.setattr(rerun_sink, "replay_blueprint", lambda **_: layout)
+    monkeypatch.setattr(rerun_sink, "replay_blueprint", lambda _: layout)
     write_run(tmp_path, stream.TASK)
     picture = tmp_path / "viewer.png"
     assert screenshot([tmp_path], picture, (1280, 800)) == []
@@ -165,10 +165,10 @@ def test_the_tabs_of_meaning_are_drawn(tmp_path: Path, monkeypatch: pytest.Monke
 
 @needs_vulkan
 def test_the_budget_tab_draws_the_schedule(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    layout = replay_blueprint()
+    layout = replay_blueprint(stream.mapper_known(None))
     assert isinstance(layout.root_container, rrb.Tabs)
     layout.root_container.active_tab = 1
-    monkeypatch.setattr(rerun_sink, "replay_blueprint", lambda **_: layout)
+    monkeypatch.setattr(rerun_sink, "replay_blueprint", lambda _: layout)
     hurried = replace(stream.UNHURRIED, budget_ns=180_000_000, overrun="drop-oldest")
     write_run(tmp_path, events=stream.of_frames(range(12), None, hurried))
     picture = tmp_path / "viewer.png"

@@ -77,7 +77,9 @@ def test_several_sequences_are_listed(tmp_path: Path) -> None:
 
 
 def test_empty_and_missing_folders_are_named(tmp_path: Path) -> None:
-    with pytest.raises(ProgroundError, match=rf"{tmp_path}: has no images such as frame-000000\.depth\.png"):
+    with pytest.raises(
+        ProgroundError, match=rf"{tmp_path}: has no images such as frame-000000\.depth\.png"
+    ):
         SevenScenesSource(tmp_path)
     with pytest.raises(ProgroundError, match="gone: no such folder"):
         SevenScenesSource(tmp_path / "gone")
