@@ -7,9 +7,6 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Sequence
-
-import tyro
 
 from pglog import (
     ablate,
@@ -31,13 +28,13 @@ from pglog import (
     sweep,
     view,
 )
-from pglog.common import FAILED, REGISTRY, SAME, STOPPED
-from pglog.mapper import Call, as_parsed, asked_kind
+from pglog.common import FAILED, SAME, STOPPED
+from pglog.parsing import Command, Group, description, parsed
 from proground_log.errors import ProgroundError
 from proground_log.version import __version__
 
-COMMANDS: dict[str, Callable[..., int]] = {
-    "record": record.record_command,
+COMMANDS: dict[str, Command | Group] = {
+    "record": record.FORMAT_COMMANDS,
     "info": logs.info_command,
     "check": logs.check_command,
     "recover": recover.recover_command,
@@ -57,31 +54,16 @@ COMMANDS: dict[str, Callable[..., int]] = {
     "export": export.export_command,
     "view": view.view_command,
     "demo": demo.demo_command,
+    "vocabulary": perception.VOCABULARY_COMMANDS,
 }
 """In the order of the help."""
 
-
-def app_of(kind: str) -> tyro.extras.SubcommandApp:
-    """All commands, those with settings with those of a kind of mapper."""
-    app = tyro.extras.SubcommandApp()
-    for name, command in COMMANDS.items():
-        app.command(name=name)(as_parsed(command, kind))
-    vocabulary = tyro.extras.SubcommandApp()
-    vocabulary.command(name="build")(as_parsed(perception.vocabulary_build_command, kind))
-    app.command(vocabulary, name="vocabulary", help="Make files of text embeddings.")
-    return app
-
-
-def parsed(words: Sequence[str]) -> Call:
-    """What a command line asks for, to be called."""
-    call: Call = app_of(asked_kind(words)).cli(
-        args=words,
-        prog="pglog",
-        description="Map RGB-D logs online, offline: record, replay, compare, look.",
-        config=(tyro.conf.FlagCreatePairsOff, tyro.conf.PositionalMetavarFromFieldName),
-        registry=REGISTRY,
-    )
-    return call
+PGLOG = Group(
+    "Map RGB-D logs online, offline: record, replay, compare, look.\n\n"
+    "pglog --version says which version this is.",
+    {name: description(command) for name, command in COMMANDS.items()},
+    COMMANDS.__getitem__,
+)
 
 
 def main() -> None:
@@ -90,7 +72,7 @@ def main() -> None:
         print(f"proground-log {__version__}")
         sys.exit(SAME)
     try:
-        code = parsed(sys.argv[1:])()
+        code = parsed(PGLOG, sys.argv[1:])()
     except ProgroundError as error:
         print(f"pglog: {error}", file=sys.stderr)
         code = FAILED

@@ -6,7 +6,7 @@ from pglog.common import SAME, Output
 from pglog.objects import objects_command
 from pglog.perception import perceive_command
 from pglog.query import query_command
-from pglog.record import FormatOptions, record_command
+from pglog.record import record_data_set
 from pglog.runs import evaluate_command, replay_command
 from proground_log.perception.opening import PerceptionOptions
 from proground_log.run.settings import ReplayConfig
@@ -22,8 +22,7 @@ def demo_command(*, output: Output, seed: int = 0, overwrite: bool = False) -> i
     """
     room, seen, run = output / "room.mcap", output / "seen.mcap", output / "run"
     objects = output / "objects.rrd"
-    options = FormatOptions(seed=seed)
-    record_command("synthetic", output=room, options=options, overwrite=overwrite)
+    record_data_set("synthetic", None, output=room, seed=seed, overwrite=overwrite)
     perception = PerceptionOptions(simulated=True, simulated_seed=seed)
     perceive_command(room, output=seen, perception=perception, overwrite=overwrite)
     config = ReplayConfig(seed=seed, hold_out_every=10)

@@ -17,6 +17,7 @@ from pglog.common import (
     print_table,
     shown_progress,
 )
+from pglog.parsing import Group, description
 from proground_log.perception.opening import PerceptionOptions, open_perceiver
 
 if TYPE_CHECKING:
@@ -92,3 +93,10 @@ def vocabulary_build_command(
         build_vocabulary(names, OnnxTextEncoder(text_encoder), output, progress)
     print(f"{output}: {len(Vocabulary(output).names)} names")
     return SAME
+
+
+VOCABULARY_COMMANDS = Group(
+    "Make files of text embeddings.",
+    {"build": description(vocabulary_build_command)},
+    {"build": vocabulary_build_command}.__getitem__,
+)

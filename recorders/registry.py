@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from difflib import get_close_matches
 from importlib import import_module
-from inspect import signature
 from pathlib import Path
 from typing import cast
 
@@ -143,16 +142,12 @@ def open_source(name: str, source: Path | None = None, **options: object) -> Sou
         options: keyword arguments of the format's class, such as `calibration`.
 
     Raises:
-        ProgroundError: no such format, option or data set, or the data set is at fault.
+        ProgroundError: no such format or data set, or the data set is at fault.
+        TypeError: the format has no such option.
     """
-    _known("format", name, (*FORMATS, AUTO), where=source or "record")
-    if name == AUTO:
-        name = _detected(source)
+    name = of_source(name, source).format
     chosen = FORMATS[name]
     opener = chosen.opener()
-    valid_options = list(signature(opener).parameters)[int(chosen.takes_source) :]
-    for option in options:
-        _known("option", option, valid_options, where=f"format {name}")
     if chosen.takes_source != (source is not None):
         todo = chosen.description if chosen.takes_source else "leave the source out"
         what = "needs a source" if chosen.takes_source else f"has no use for {source}"
@@ -161,25 +156,6 @@ def open_source(name: str, source: Path | None = None, **options: object) -> Sou
     if source is not None and not is_remote(source) and not source.exists():
         raise ProgroundError("no such folder or file", where=source, todo="check the path")
     return opener(source, **options) if chosen.takes_source else opener(**options)
-
-
-def _detected(source: Path | None) -> str:
-
-    if source is None:
-        raise ProgroundError("needs a source", where=f"format {AUTO}", todo="name the data set")
-    return detect(source).format
-
-
-def _known(kind: str, name: str, valid: Iterable[str], *, where: object) -> str:
-    """Return the name; raise a ProgroundError with the valid ones unless it is one of them."""
-    names = sorted(valid)
-    if name not in names:
-        nearest = get_close_matches(name, names, n=1)
-        hint = f"did you mean {nearest[0]}? " if nearest else ""
-        raise ProgroundError(
-            f"there is no {kind} {name!r}", where=where, todo=f"{hint}valid: {', '.join(names)}"
-        )
-    return name
 
 
 @dataclass(frozen=True)
@@ -193,6 +169,27 @@ class Detection:
 
     format: str
     reason: str
+
+
+def of_source(name: str, source: Path | None) -> Detection:
+    """The format that a name means: "auto" the one that recognises the source, others their own.
+
+    Raises:
+        ProgroundError: there is no such format, or it is not clear what the source is.
+    """
+    if name == AUTO:
+        if source is None:
+            raise ProgroundError("needs a source", where=f"format {AUTO}", todo="name the data set")
+        return detect(source)
+    if name not in FORMATS:
+        nearest = get_close_matches(name, FORMATS, n=1)
+        hint = f"did you mean {nearest[0]}? " if nearest else ""
+        raise ProgroundError(
+            f"there is no format {name!r}",
+            where=source or "record",
+            todo=f"{hint}valid: {', '.join(sorted((*FORMATS, AUTO)))}",
+        )
+    return Detection(name, "was named")
 
 
 def detect(source: Path) -> Detection:

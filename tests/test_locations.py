@@ -14,7 +14,8 @@ import cv2
 import numpy as np
 import pytest
 
-from pglog.commands import parsed
+from pglog.commands import PGLOG
+from pglog.parsing import parsed
 from proground_log.camera import Calibration
 from proground_log.errors import ProgroundError
 from proground_log.frame import Selection, SensorFrame
@@ -92,7 +93,7 @@ def test_a_command_takes_a_url(
 ) -> None:
     folder, url = served
     write_log(folder / "a.mcap")
-    assert parsed(["check", f"{url}/a.mcap"])() == 0
+    assert parsed(PGLOG, ["check", f"{url}/a.mcap"])() == 0
     assert "no fault found" in capsys.readouterr().out
 
 
@@ -150,13 +151,13 @@ def write_seven_scenes(folder: Path, frames: list[SensorFrame]) -> None:
 def test_a_log_can_be_written_to_a_url(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     here, there = write_log(tmp_path / "a.mcap"), "memory://logs/b.mcap"
-    assert parsed(["recover", str(here), "-o", there])() == 0
+    assert parsed(PGLOG, ["recover", str(here), "-o", there])() == 0
     assert [frame.color for frame in LogReader(located(there)).frames()] == [
         frame.color for frame in LogReader(here).frames()
     ]
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
     with pytest.raises(ProgroundError, match="the output exists"):
-        parsed(["recover", str(here), "-o", there])()
+        parsed(PGLOG, ["recover", str(here), "-o", there])()
 
 
 def test_a_store_that_does_not_answer_is_named() -> None:

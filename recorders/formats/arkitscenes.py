@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -26,7 +27,12 @@ from recorders.reading.association import (
     read_text,
 )
 from recorders.reading.images import read_color, read_depth, read_encoded, read_labels
-from recorders.reading.lidar import low_confidence_note, phone_calibration, require_confidence
+from recorders.reading.lidar import (
+    Confidence,
+    low_confidence_note,
+    phone_calibration,
+    require_confidence,
+)
 
 TRAJECTORY = "lowres_wide.traj"
 NAME_TOLERANCE_NS = 1_500_000
@@ -56,9 +62,9 @@ class ArkitscenesSource:
         source: Path,
         *,
         calibration: Calibration | None = None,
-        color: str = "lowres_wide",
-        depth: str = "lowres_depth",
-        min_confidence: int = 1,
+        color: Literal["lowres_wide", "vga_wide", "wide"] = "lowres_wide",
+        depth: Literal["lowres_depth", "highres_depth"] = "lowres_depth",
+        min_confidence: Confidence = 1,
     ) -> None:
         """List the files, match them by time and drop what has no pose.
 

@@ -28,7 +28,12 @@ from recorders.reading.association import UNIT_TOLERANCE, frame_stamp_ns, parse_
 from recorders.reading.axes import opencv_from_opengl
 from recorders.reading.images import encoded_image, require_size
 from recorders.reading.json_file import numbers, parse_json
-from recorders.reading.lidar import low_confidence_note, phone_calibration, require_confidence
+from recorders.reading.lidar import (
+    Confidence,
+    low_confidence_note,
+    phone_calibration,
+    require_confidence,
+)
 from recorders.reading.lzfse_decode import decompress
 
 LARGEST_MEMBER_BYTES = 64 * 2**20
@@ -65,7 +70,11 @@ class Record3dSource:
     name = "record3d"
 
     def __init__(
-        self, source: Path, *, calibration: Calibration | None = None, min_confidence: int = 1
+        self,
+        source: Path,
+        *,
+        calibration: Calibration | None = None,
+        min_confidence: Confidence = 1,
     ) -> None:
         """Read the metadata and list the frames.
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from recorders.reading.layout import holds
 
 LABEL_TABLE = "scannetv2-labels.combined.tsv"
 """Part of the data set: the classes of its annotators and what they are among others'."""
-LABEL_SETS = ("scannet", "nyu40", "scannet-to-nyu40")
+LabelSet = Literal["scannet", "nyu40", "scannet-to-nyu40"]
 LARGEST_LABEL = 65535
 
 # The 40 classes of NYUv2, numbered from 1, spelled as ScanNet does; its labelled mesh has these.
@@ -90,7 +91,7 @@ class ScannetSource:
         source: Path,
         *,
         calibration: Calibration | None = None,
-        label_set: str = "scannet",
+        label_set: LabelSet = "scannet",
     ) -> None:
         """Find the scene's files and read its poses.
 
@@ -104,11 +105,11 @@ class ScannetSource:
         Raises:
             ProgroundError: a file is missing or broken, or no frame has a pose.
         """
-        if label_set not in LABEL_SETS:
+        if label_set not in get_args(LabelSet):
             raise ProgroundError(
                 f"there is no label set {label_set!r}",
                 where=source,
-                todo=f"choose one of {', '.join(LABEL_SETS)}",
+                todo=f"choose one of {', '.join(get_args(LabelSet))}",
             )
         self._frames, lost = _find_frames(source)
         self.calibration = calibration or _read_rig(source, self._frames[0])

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Literal, get_args
+
 from proground_log.camera import Calibration, Camera
 from proground_log.errors import ProgroundError
 
-MOST_CONFIDENCE = 2
+Confidence = Literal[0, 1, 2]
 """ARKit's: 0 low, 1 medium, 2 high."""
+MOST_CONFIDENCE = max(get_args(Confidence))
 
 
 def phone_calibration(color: Camera, depth_size: tuple[int, int], *, where: object) -> Calibration:

@@ -28,6 +28,7 @@ from proground_log.run.manifest import Manifest
 from proground_log.run.settings import ReplayConfig
 from recorders.formats.seven_scenes import SevenScenesSource
 from recorders.record import record
+from recorders.registry import FORMATS
 from recorders.room import RoomSource
 from tests.commands import Answer, Pglog
 from tests.full_disk import largest_file
@@ -101,6 +102,7 @@ def test_a_wrong_command_line(pglog: Pglog, arguments: list[str]) -> None:
 
 
 def test_version(pglog: Pglog) -> None:
+    assert "--version" in pglog("--help").out
     answer = pglog("--version")
     assert answer == Answer(0, f"proground-log {version('proground-log')}\n", "")
 
@@ -585,22 +587,75 @@ def test_nothing_to_view(pglog: Pglog) -> None:
 
 def test_an_unknown_format(pglog: Pglog, tmp_path: Path) -> None:
     answer = pglog("record", "seven_scenes", tmp_path, "-o", tmp_path / "a.mcap")
-    assert_one_clear_line(answer, "'seven_scenes'", "did you mean seven-scenes?", "tum")
+    assert_one_clear_line(answer, "`pglog record seven_scenes`", "the nearest are seven-scenes")
+
+
+@pytest.mark.parametrize("arguments", [["tum"], ["synthetic", "folder"], ["scannet", "x"]])
+def test_a_source_and_words_are_what_a_format_takes(
+    pglog: Pglog, tmp_path: Path, arguments: list[str]
+) -> None:
+    given = ["--label-set", "coco"] if "x" in arguments else []
+    answer = pglog("record", *arguments, *given, "-o", tmp_path / "a.mcap")
+    assert (answer.code, answer.out) == (2, "")
+    assert f"pglog record {arguments[0]} --help" in answer.err
+    assert any(part in answer.err for part in ("SOURCE", "folder", "'scannet-to-nyu40'"))
+
+
+@pytest.mark.parametrize("format", ["auto", *FORMATS])
+def test_help_of_a_format(pglog: Pglog, format: str) -> None:
+    assert f" {format} " in pglog("record", "--help").out
+    answer = pglog("record", format, "--help")
+    assert (answer.code, answer.err) == (0, "")
+    assert f"usage: pglog record {format} " in answer.out
+    assert ("--color-topic" in answer.out) == (format in ("ros1-bag", "ros2-bag"))
+    assert ("--calibration" in answer.out) == ("SOURCE" in answer.out) == (format != "synthetic")
+
+
+def test_formats_are_listed_without_their_modules() -> None:
+    program = (
+        "import sys, pglog.commands\n"
+        "sys.argv = ['pglog', 'record', '--help']\n"
+        "try: pglog.commands.main()\n"
+        "except SystemExit: print([m for m in sys.modules if m.startswith('recorders.formats')])"
+    )
+    command = [sys.executable, "-c", program]
+    result = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert result.stdout.endswith("\n[]\n")
+
+
+def test_typos_are_told_by_the_command_at_hand(pglog: Pglog) -> None:
+    answer = pglog("replay", "--budgte-ms", 5)
+    assert_one_clear_line(answer, "replay: there is no option --budgte-ms", "mean --budget-ms?")
+    assert "sweep" not in answer.err
+    for words in (["nonsense"], ["nonsense", "--help"], ["vocabulary", "nonsense", "--help"]):
+        assert_one_clear_line(pglog(*words), "there is no `pglog", "nonsense`; the nearest are ")
+    assert_one_clear_line(pglog("reply", "x"), "the nearest are replay,")
 
 
 @pytest.mark.parametrize(
     ("arguments", "parts"),
     [
-        (["tum"], ["tum: needs a source"]),
         (["tum", "no-such-folder"], ["no-such-folder: no such folder or file; check the path"]),
-        (["synthetic", "folder"], ["has no use for folder"]),
-        (["synthetic", "--max-time-difference-s", "1"], ["there is no option"]),
+        (
+            ["synthetic", "--max-time-difference-s", "1"],
+            [
+                "--max-time-difference-s is of tum, redwood, ros2-bag and ros1-bag; "
+                "use `pglog record"
+            ],
+        ),
+        (
+            ["auto", "bag", "--color-topic", "/rgb"],
+            ["record auto: --color-topic is of ros2-bag and ros1-bag; use `pglog record ros2-bag"],
+        ),
+        (["tum", "x", "--max-time-diference-s", "1"], ["did you mean --max-time-difference-s?"]),
         (["synthetic", "--seed", "-1"], ["the seed is -1"]),
         (["synthetic", "--frames", "0"], ["0 frames are asked for"]),
         (["synthetic", "--start", "5", "--stop", "3"], ["start 5, stop 3, stride 1 select no"]),
         (["synthetic", "--stride", "0"], ["stride of 1 or more"]),
         (["synthetic", "--start", "120"], ["a recording of 120 frames"]),
-        (["synthetic", "--calibration", "no.json"], ["no.json: no such file"]),
+        (["auto", "x", "--calibration", "no.json"], ["x: no such folder or file"]),
+        (["tum", "x", "--calibration", "no.json"], ["no.json: no such file"]),
+        (["synthetic", "--calibration", "no.json"], ["there is no option --calibration"]),
     ],
 )
 def test_wrong_options_of_record(
