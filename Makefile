@@ -14,7 +14,7 @@ $(1)/bin/python -m pip install --quiet --upgrade pip
 $(1)/bin/python -m pip install --quiet $(2)
 endef
 
-.PHONY: help demo setup lint style format types layers test test-all test-oldest test-newest test-wheel
+.PHONY: help demo setup lint style format types layers test test-fast test-all test-oldest test-newest test-wheel
 .PHONY: test-gpu wheel check-tag notes fuzz architecture bench clean
 
 help: ## what can be made
@@ -25,6 +25,9 @@ demo: setup ## record the built-in room, perceive, map, judge and ask; about thr
 
 test: setup ## the test suite
 	$(BIN)/python -m pytest
+
+test-fast: setup ## most of it, in two minutes
+	$(BIN)/python -m pytest -m "not long and not slow"
 
 test-all: setup ## the tests that take minutes too
 	$(BIN)/python -m pytest -m ""

@@ -16,7 +16,7 @@ import pytest
 
 from tests.checkout import ROOT, needs_checkout, pyproject
 
-pytestmark = needs_checkout
+pytestmark = [needs_checkout, pytest.mark.slow]
 
 PACKAGES = ("pglog", "proground_log", "recorders", "replay")
 SMALL = (

@@ -25,6 +25,8 @@ from tests.commands import Pglog
 from tests.replay.golden import perceiver_of
 from tests.telemetry.telemetry_cells import rows_of
 
+pytestmark = pytest.mark.slow
+
 EXAMPLE = Path(__file__).parents[2] / "examples" / "points_mapper"
 BROKEN = {
     "broken": ("raise ValueError('out of order')", "ValueError: out of order"),

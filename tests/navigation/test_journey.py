@@ -27,6 +27,8 @@ from replay.session import replay
 from tests.query.asked_room import CONFIG, TASK, without_log
 from tests.runs import navigate_run, surface_of_run
 
+pytestmark = pytest.mark.slow
+
 VOXEL_M = 0.06
 ROBOT = Robot()
 START = (3.5, 3.0)

@@ -40,6 +40,8 @@ from tests.query.asked_room import CONFIG, TASK, without_log
 from tests.runs import query_run
 from tests.telemetry.telemetry_cells import rows_of
 
+pytestmark = pytest.mark.slow
+
 VOXEL_M = 0.06
 
 

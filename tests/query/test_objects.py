@@ -33,6 +33,8 @@ from replay.session import replay
 from tests.query.asked_room import CONFIG, TASK, without_log
 from tests.runs import surface_of_run
 
+pytestmark = pytest.mark.slow
+
 VOXEL_M = 0.06
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -24,6 +24,8 @@ from recorders.recover import SUFFIX, Recovery, recover
 from tests.regions import write_perceived_log
 from tests.writers.small_source import CAMERA, LABEL_NAMES, MESH, SmallSource, with_frame, write_log
 
+pytestmark = pytest.mark.slow
+
 COUNT = 8
 Frames = dict[int, dict[str, bytes]]
 

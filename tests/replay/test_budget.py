@@ -29,6 +29,8 @@ from replay.session import ReplayStoppedError, cost_model_of, replay
 from tests.commands import Pglog
 from tests.replay.golden import CASES, COST, SMALL, perceiver_of, under
 
+pytestmark = pytest.mark.slow
+
 QUIET = TelemetryConfig(enabled=False)
 OVERLOADED = replace(CASES["drop_oldest"], telemetry=QUIET)
 BESIDE = replace(

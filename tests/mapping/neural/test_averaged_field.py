@@ -22,6 +22,8 @@ from replay.session import replay
 from tests.mapping.neural.wall import BOUNDS, wall_frame
 from tests.regions import write_perceived_log
 
+pytestmark = pytest.mark.slow
+
 SMALL = NeuralConfig(
     field=FieldConfig(log2_rows=8, levels=4, voxel_m=0.1),
     sampling=SamplingConfig(rays=32, uniform=4, near_surface=3),

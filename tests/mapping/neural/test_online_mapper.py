@@ -17,6 +17,8 @@ from proground_log.mapping.neural.online_mapper import OnlineMapper
 from proground_log.query.mesh import extract_mesh
 from tests.mapping.neural.wall import BOUNDS, CAMERA, WALL_M, wall_frame
 
+pytestmark = pytest.mark.slow
+
 CONFIG = NeuralConfig(
     field=FieldConfig(log2_rows=12, levels=8, voxel_m=0.05),
     sampling=SamplingConfig(rays=256, uniform=12, near_surface=7),

@@ -33,6 +33,8 @@ from proground_log.streams import stream
 from proground_log.telemetry.pictures import Pictures
 from tests.mapping.neural.wall import BOUNDS, CAMERA, WALL_M, wall_frame
 
+pytestmark = pytest.mark.slow
+
 CONFIG = NeuralConfig(
     field=FieldConfig(log2_rows=12, levels=8, voxel_m=0.05),
     sampling=SamplingConfig(rays=256, uniform=12, near_surface=7),

@@ -21,6 +21,8 @@ from recorders.room.shapes import BOX, ELLIPSOID, FRUSTUM, Primitive
 from recorders.room.shell import ROOM_M
 from recorders.source import Source
 
+pytestmark = pytest.mark.slow
+
 FRAMES = 40
 SEEDS = range(5)
 SHELL = {"wall", "floor", "ceiling"}

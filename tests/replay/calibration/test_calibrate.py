@@ -36,6 +36,8 @@ from replay.calibration.measure import (
 from replay.calibration.work import stage_works
 from tests.writers.small_source import SmallSource
 
+pytestmark = pytest.mark.slow
+
 SIZES = (10_000, 20_000, 40_000, 80_000, 160_000)
 
 

@@ -21,6 +21,8 @@ from replay.session import replay
 from tests.replay.divergence.ledger_edits import Entry, edited_run
 from tests.replay.golden import COST, SMALL
 
+pytestmark = pytest.mark.slow
+
 TINY = replace(
     SMALL,
     max_frames=7,

@@ -30,6 +30,8 @@ from replay.session import replay
 from tests.replay.divergence.ledger_edits import Entry, edited_run, without_frame
 from tests.replay.golden import COST, SMALL
 
+pytestmark = pytest.mark.slow
+
 TINY = replace(SMALL, max_frames=7, telemetry=replace(SMALL.telemetry, enabled=False))
 ROOM_FRAMES = 12
 

@@ -28,6 +28,8 @@ from tests.replay.divergence.ledger_edits import Entry, edited_run
 from tests.replay.golden import COST, SMALL, perceiver_of
 from tests.replay.small_replay import ledger_bytes
 
+pytestmark = pytest.mark.slow
+
 TINY = replace(
     SMALL,
     steps=2,

@@ -40,6 +40,8 @@ from tests.replay.golden import SMALL
 from tests.replay.small_replay import SMALL_FLAGS, ledger_bytes
 from tests.writers.small_source import SmallSource, write_log
 
+pytestmark = pytest.mark.slow
+
 SWEPT = replace(SMALL, telemetry=TelemetryConfig(enabled=False))
 SWEPT_FLAGS = SMALL_FLAGS[: SMALL_FLAGS.index("--telemetry.view-every")]
 JUDGING = Judging(voxel_m=0.2)
