@@ -116,7 +116,8 @@ def print_summary(run: Path, manifest: Manifest) -> None:
     """The figures of a finished run, and simulated time beside the machine's."""
     result = dict(manifest.result or {})
     simulated, machine = (_figures(result.pop(name, {})) for name in ("simulation", "machine s"))
-    print_table(str(run), {name: str(value) for name, value in result.items()})
+    figures = {name: str(value) for name, value in result.items()}
+    print_table(str(run), {"mapper": manifest.config.kind, **figures})
     model = manifest.cost_model
     stages = Table("seconds", f"simulated ({model.name})", "this machine")
     for stage, seconds in machine.items():
