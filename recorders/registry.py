@@ -36,11 +36,16 @@ class Format:
         return cast(Callable[..., Source], getattr(import_module(self.module), self.class_name))
 
     def recognise(self, source: Path) -> str | None:
-        """Why a path looks like this format, in a few words, or None; opens nothing large."""
+        """Why a path looks like this format, in a few words, or None; opens nothing large.
+
+        What is no file or folder of the kind, or may not be looked into, cannot be recognised: a
+        format's own `recognise` need not catch what that raises.
+        """
+        recognise: Callable[[Path], str | None] = import_module(self.module).recognise
         try:
-            return cast(str | None, import_module(self.module).recognise(source))
-        except OSError:
-            return None  # What may not be looked into cannot be recognised.
+            return recognise(source)
+        except Exception:  # Each remote file system has errors of its own.
+            return None
 
 
 FORMATS = {

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from proground_log.errors import ProgroundError
+from proground_log.checked import Checks
 from proground_log.files import require_file
 from proground_log.palette import label_colors
 
@@ -78,29 +78,26 @@ class Task:
     @classmethod
     def from_json(cls, content: dict[str, Any], *, where: object) -> Task:
         """Check a task's content; raises a ProgroundError that names what is wrong."""
-        unknown = sorted(set(content) - {"name", "prompts", "irrelevant", "thresholds", "colors"})
-        if unknown:
-            raise _error(f"has an unknown entry {unknown[0]!r}", where)
-        name = content.get("name")
-        if not isinstance(name, str) or not name.strip():
-            raise _error("has no name", where)
-        prompts = _prompts(content.get("prompts", []), "prompts", where)
-        irrelevant = _prompts(content.get("irrelevant", []), "irrelevant", where)
+        checks = Checks(where, _REMEDY)
+        checks.entries(content, "the task", cls.__dataclass_fields__)
+        name = checks.text(content.get("name"), "name")
+        prompts = _prompts(content.get("prompts", []), "prompts", checks)
+        irrelevant = _prompts(content.get("irrelevant", []), "irrelevant", checks)
         if not prompts:
-            raise _error("has no prompts", where)
+            raise checks.fault("has no prompts")
         seen: set[str] = set()
         for prompt in prompts + irrelevant:
             if prompt in seen:
-                raise _error(f"has the prompt {prompt!r} twice", where)
+                raise checks.fault(f"has the prompt {prompt!r} twice")
             seen.add(prompt)
         colors = content.get("colors", {})
         for prompt, color in colors.items() if isinstance(colors, dict) else [("colors", colors)]:
             if prompt not in seen:
-                raise _error(f"gives a colour to {prompt!r}, which is no prompt", where)
+                raise checks.fault(f"gives a colour to {prompt!r}, which is no prompt")
             if not isinstance(color, str) or not _COLOR.fullmatch(color):
-                raise _error(f"gives {prompt!r} the colour {color!r}, not #rrggbb", where)
+                raise checks.fault(f"gives {prompt!r} the colour {color!r}, not #rrggbb")
         thresholds = content.get("thresholds", {})
-        return cls(name.strip(), prompts, irrelevant, _thresholds(thresholds, where), dict(colors))
+        return cls(name.strip(), prompts, irrelevant, _thresholds(thresholds, checks), dict(colors))
 
 
 def read_task(path: Path) -> Task:
@@ -108,28 +105,21 @@ def read_task(path: Path) -> Task:
     try:
         content = tomllib.loads(require_file(path).read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise _error(f"is no TOML ({error})", path) from error
+        raise Checks(path, _REMEDY).fault(f"is no TOML ({error})") from error
     return Task.from_json(content, where=path)
 
 
-def _prompts(value: object, entry: str, where: object) -> tuple[str, ...]:
+def _prompts(value: object, entry: str, checks: Checks) -> tuple[str, ...]:
     if not isinstance(value, list) or not all(isinstance(prompt, str) for prompt in value):
-        raise _error(f"{entry} is no list of texts", where)
+        raise checks.fault(f"{entry} is no list of texts")
     prompts = tuple(" ".join(prompt.split()).lower() for prompt in value)
     if "" in prompts:
-        raise _error(f"has an empty text among its {entry}", where)
+        raise checks.fault(f"has an empty text among its {entry}")
     return prompts
 
 
-def _thresholds(value: object, where: object) -> Thresholds:
-    known = asdict(Thresholds())
-    if not isinstance(value, dict) or not set(value) <= set(known):
-        raise _error(f"thresholds are {', '.join(known)}, not {value!r}", where)
-    for name, number in value.items():
-        if isinstance(number, bool) or not isinstance(number, int | float) or not 0 <= number <= 1:
-            raise _error(f"the threshold {name} is {number!r}, not from 0 to 1", where)
-    return Thresholds(**{name: float(number) for name, number in value.items()})
-
-
-def _error(what: str, where: object) -> ProgroundError:
-    return ProgroundError(what, where=where, todo=_REMEDY)
+def _thresholds(value: object, checks: Checks) -> Thresholds:
+    entries = checks.entries(value, "thresholds", Thresholds.__dataclass_fields__)
+    return Thresholds(
+        **{key: checks.number(number, f"the threshold {key}", 1) for key, number in entries.items()}
+    )

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from proground_log.checked import Checks
 from proground_log.errors import ProgroundError
 from proground_log.files import require_file, written_whole
 from proground_log.mapping.kinds import StageCost
@@ -108,8 +109,8 @@ class CostModel:
     @classmethod
     def from_json(cls, content: object, *, where: object) -> CostModel:
         """Check a cost model's content; raises a ProgroundError that names what is wrong."""
-        content = _entries(content, "the cost model", where)
-        version = content.get("cost_model_version")
+        checks = Checks(where, _REMEDY)
+        version = checks.entries(content, "the cost model").get("cost_model_version")
         if version != COST_MODEL_VERSION:
             raise ProgroundError(
                 f"has cost model version {version!r}, this pglog reads {COST_MODEL_VERSION}",
@@ -117,14 +118,14 @@ class CostModel:
                 todo="measure it again with this version of pglog",
             )
         names = {"cost_model_version", *(field.name for field in dataclasses.fields(cls))}
-        _require_keys(content, names, names, "the cost model", where)
-        hardware = _entries(content["hardware"], "hardware", where)
-        stages = _entries(content["stages"], "stages", where)
+        entries = checks.entries(content, "the cost model", names, names)
+        hardware = checks.entries(entries["hardware"], "hardware")
+        stages = checks.entries(entries["stages"], "stages")
         return cls(
-            name=_text(content["name"], "name", where),
-            hardware={key: _text(text, f"hardware {key}", where) for key, text in hardware.items()},
-            measured=_text(content["measured"], "measured", where),
-            stages={stage: _stage(stage, content, where) for stage, content in stages.items()},
+            name=checks.text(entries["name"], "name"),
+            hardware={key: checks.text(text, f"hardware {key}") for key, text in hardware.items()},
+            measured=checks.text(entries["measured"], "measured"),
+            stages={stage: _stage(stage, content, checks) for stage, content in stages.items()},
         )
 
     @classmethod
@@ -146,7 +147,7 @@ class CostModel:
         try:
             content = json.loads(require_file(path).read_text(encoding="utf-8"))
         except ValueError as error:
-            raise _fault(f"is no JSON ({error})", path) from error
+            raise Checks(path, _REMEDY).fault(f"is no JSON ({error})") from error
         return cls.from_json(content, where=path)
 
     def write(self, path: Path) -> None:
@@ -160,48 +161,15 @@ def shipped_models() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in _SHIPPED.glob("*.json")))
 
 
-def _stage(stage: str, content: object, where: object) -> StageCost:
-    entries = _entries(content, f"stage {stage}", where)
+def _stage(stage: str, content: object, checks: Checks) -> StageCost:
     needed = {"fixed_ns", "per_unit_ns", "unit"}
-    _require_keys(entries, needed, {*needed, "residual_percent"}, f"stage {stage}", where)
-    unit = _text(entries["unit"], f"unit of {stage}", where)
+    entries = checks.entries(content, f"stage {stage}", {*needed, "residual_percent"}, needed)
+    unit = checks.text(entries["unit"], f"unit of {stage}")
     if unit != UNITS.get(stage, unit):
-        raise _fault(f"counts {stage} by {unit!r}, not by {UNITS[stage]!r}", where)
+        raise checks.fault(f"counts {stage} by {unit!r}, not by {UNITS[stage]!r}")
     numbers = {
-        key: _number(value, f"{key} of {stage}", where)
+        key: checks.number(value, f"{key} of {stage}", MOST_NS)
         for key, value in entries.items()
         if key != "unit"
     }
     return StageCost(unit=unit, **numbers)
-
-
-def _entries(value: object, what: str, where: object) -> dict[str, Any]:
-    if not isinstance(value, dict):
-        raise _fault(f"{what} is {type(value).__name__}, not entries by name", where)
-    return value
-
-
-def _require_keys(
-    entries: dict[str, Any], needed: set[str], known: set[str], what: str, where: object
-) -> None:
-    for name in sorted(needed - set(entries)):
-        raise _fault(f"{what} has no entry {name!r}", where)
-    for name in sorted(set(entries) - known):
-        raise _fault(f"{what} has an unknown entry {name!r}", where)
-
-
-def _text(value: object, what: str, where: object) -> str:
-    if not isinstance(value, str) or not value.strip():
-        raise _fault(f"{what} is {value!r}, not a text", where)
-    return value
-
-
-def _number(value: object, what: str, where: object) -> float:
-    # A number that is none (NaN) fails the comparison too.
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= MOST_NS:
-        raise _fault(f"{what} is {value!r}, not a number from 0 to {MOST_NS:g}", where)
-    return float(value)
-
-
-def _fault(what: str, where: object) -> ProgroundError:
-    return ProgroundError(what, where=where, todo=_REMEDY)

@@ -150,12 +150,9 @@ class ArkitscenesSource:
 
 def recognise(source: Path) -> str | None:
     """Whether a folder, or the one VIDEO_frames in it, has a trajectory and depth of a LiDAR."""
-    try:
-        folder = _frames_folder(source)
-        if (folder / TRAJECTORY).is_file() and (folder / "lowres_depth").is_dir():
-            return f"has {TRAJECTORY} and lowres_depth"
-    except (OSError, ValueError):
-        pass
+    folder = _frames_folder(source)
+    if (folder / TRAJECTORY).is_file() and (folder / "lowres_depth").is_dir():
+        return f"has {TRAJECTORY} and lowres_depth"
     return None
 
 

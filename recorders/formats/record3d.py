@@ -186,13 +186,10 @@ class Record3dSource:
 
 def recognise(source: Path) -> str | None:
     """Whether a path is a .r3d file that is a zip (the films of RED cameras are not)."""
-    try:
-        if source.suffix.lower() == ".r3d" and source.is_file():
-            with source.open("rb") as stream:
-                return "is a .r3d file" if stream.read(4) == b"PK\x03\x04" else None
-    except (OSError, ValueError):
-        pass
-    return None
+    if source.suffix.lower() != ".r3d":
+        return None
+    with source.open("rb") as stream:
+        return "is a .r3d file" if stream.read(4) == b"PK\x03\x04" else None
 
 
 def _open_zip(source: Path) -> tuple[ZipFile, dict[str, ZipInfo]]:

@@ -66,11 +66,8 @@ def recognise(source: Path) -> str | None:
     """Why the path looks like a `.sens` stream, or None."""
     if source.suffix != ".sens":
         return None
-    try:
-        with source.open("rb") as stream:
-            start = stream.read(4)
-    except Exception:  # each remote file system has errors of its own, and the answer is the same
-        return None
+    with source.open("rb") as stream:
+        start = stream.read(4)
     is_ours = start == VERSION.to_bytes(4, "little")
     return f"is a .sens stream of version {VERSION}" if is_ours else None
 

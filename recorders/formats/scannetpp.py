@@ -120,12 +120,9 @@ class ScannetppSource:
 
 def recognise(source: Path) -> str | None:
     """Whether a folder, or iphone/ in it, has the poses and depth of ScanNet++."""
-    try:
-        folder = _iphone_folder(source)
-        if (folder / POSES).is_file() and (folder / DEPTH).is_file():
-            return f"has {POSES} and {DEPTH}"
-    except (OSError, ValueError):
-        pass
+    folder = _iphone_folder(source)
+    if (folder / POSES).is_file() and (folder / DEPTH).is_file():
+        return f"has {POSES} and {DEPTH}"
     return None
 
 

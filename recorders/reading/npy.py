@@ -16,7 +16,11 @@ HEADER = re.compile(
     rb"'shape': \(([1-9]\d{0,8}), ([1-9]\d{0,8})(?:, 1)?\), \} *\n",
     re.DOTALL,
 )
-"""What `numpy.save` writes of an image; NumPy's own reader would take much more for a header."""
+"""What `numpy.save` writes of an image.
+
+NumPy's own reader takes any Python literal for a header: it gives shapes below 0, and raises
+MemoryError or errors of `tokenize` where the literal is broken.
+"""
 
 
 def read_npy_image(path: Path) -> np.ndarray:

@@ -44,12 +44,9 @@ _IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
 
 def recognise(source: Path) -> str | None:
     """Why the path looks like a COLMAP workspace or model; None where it does not."""
-    try:
-        for name in ("", "sparse", "sparse/0"):
-            if is_model(source / name if name else source):
-                return f"has a COLMAP model{f' in {name}' if name else ''}"
-    except (OSError, ValueError):
-        pass
+    for name in ("", "sparse", "sparse/0"):
+        if is_model(source / name if name else source):
+            return f"has a COLMAP model{f' in {name}' if name else ''}"
     return None
 
 

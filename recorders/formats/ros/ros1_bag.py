@@ -49,11 +49,8 @@ class Ros1BagSource(RosBagSource):
 
 def recognise(source: Path) -> str | None:
     """What makes a path look like a ROS 1 bag; None where it does not."""
-    try:
-        with require_file(source).open("rb") as stream:
-            return "begins with #ROSBAG V2.0" if stream.read(len(MAGIC)) == MAGIC else None
-    except (ProgroundError, OSError):
-        return None
+    with source.open("rb") as stream:
+        return "begins with #ROSBAG V2.0" if stream.read(len(MAGIC)) == MAGIC else None
 
 
 def _bounded(decompressor: Callable[[], Any], data: bytes) -> bytes:

@@ -33,16 +33,12 @@ class Ros2BagSource(RosBagSource):
 
 def recognise(source: Path) -> str | None:
     """What makes a path look like a ROS 2 bag, which a log of ours is too; None otherwise."""
-    try:
-        if source.is_dir():
-            text = read_text(source / "metadata.yaml")
-            return "has rosbag2's metadata.yaml" if "rosbag2_bagfile_information" in text else None
-        if source.suffix != ".mcap":
-            return None
-        summary = read_summary(source)
-    except (ProgroundError, OSError):
+    if source.is_dir():
+        text = read_text(source / "metadata.yaml")
+        return "has rosbag2's metadata.yaml" if "rosbag2_bagfile_information" in text else None
+    if source.suffix != ".mcap":
         return None
-    has_images = {IMAGE, COMPRESSED_IMAGE} & set(ros_types(summary).values())
+    has_images = {IMAGE, COMPRESSED_IMAGE} & set(ros_types(read_summary(source)).values())
     return "is MCAP with ROS 2 images" if has_images else None
 
 

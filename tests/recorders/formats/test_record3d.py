@@ -15,8 +15,9 @@ import pytest
 from proground_log.camera import Calibration, Camera
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
-from recorders.formats.record3d import Record3dSource, recognise
+from recorders.formats.record3d import Record3dSource
 from recorders.reading import lzfse_decode
+from recorders.registry import FORMATS
 from recorders.room import RoomSource
 from recorders.source import Source
 from tests.round_trip import assert_round_trip
@@ -280,14 +281,14 @@ def test_without_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_recognise(tmp_path: Path, members: dict[str, bytes], metadata: dict[str, Any]) -> None:
     path = write_zip(tmp_path / "a.R3D", members, metadata)
-    assert recognise(path) == "is a .r3d file"
+    assert FORMATS["record3d"].recognise(path) == "is a .r3d file"
     path.with_name("red.r3d").write_bytes(b"\x00\x00\x02\x00RED2")
-    assert recognise(tmp_path / "red.r3d") is None
+    assert FORMATS["record3d"].recognise(tmp_path / "red.r3d") is None
     path.rename(tmp_path / "a.zip")
-    assert recognise(tmp_path / "a.zip") is None
-    assert recognise(tmp_path) is None
-    assert recognise(tmp_path / "missing.r3d") is None
-    assert recognise(Path("a\0b.r3d")) is None
+    assert FORMATS["record3d"].recognise(tmp_path / "a.zip") is None
+    assert FORMATS["record3d"].recognise(tmp_path) is None
+    assert FORMATS["record3d"].recognise(tmp_path / "missing.r3d") is None
+    assert FORMATS["record3d"].recognise(Path("a\0b.r3d")) is None
 
 
 def test_mutations_are_errors_or_change_nothing_unseen(tmp_path: Path) -> None:

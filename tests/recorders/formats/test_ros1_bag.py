@@ -10,7 +10,8 @@ import pytest
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
 from recorders.formats.ros import ros1_bag
-from recorders.formats.ros.ros1_bag import Ros1BagSource, recognise
+from recorders.formats.ros.ros1_bag import Ros1BagSource
+from recorders.registry import FORMATS
 from recorders.room import RoomSource
 from tests.round_trip import assert_round_trip
 from tests.writers.ros1_bag import write_bag
@@ -41,10 +42,13 @@ def test_a_bag_comes_back_exactly(
 
 
 def test_recognise(sent: list[Sent], tmp_path: Path, room_log: Path) -> None:
-    assert recognise(write_bag(tmp_path / "room.bag", sent)) == "begins with #ROSBAG V2.0"
+    assert (
+        FORMATS["ros1-bag"].recognise(write_bag(tmp_path / "room.bag", sent))
+        == "begins with #ROSBAG V2.0"
+    )
     (tmp_path / "other.bag").write_bytes(b"#ROSBAG V1.2\n")
     for path in (tmp_path, tmp_path / "other.bag", tmp_path / "nothing", room_log):
-        assert recognise(path) is None
+        assert FORMATS["ros1-bag"].recognise(path) is None
     with pytest.raises(ProgroundError, match=r"other\.bag: is no ROS 1 bag of version 2\.0"):
         Ros1BagSource(tmp_path / "other.bag")
     with pytest.raises(ProgroundError, match="no such file"):

@@ -14,7 +14,8 @@ from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
 from proground_log.log import messages
 from recorders.formats.ros.messages import camera, color_image
-from recorders.formats.ros.ros2_bag import Ros2BagSource, recognise
+from recorders.formats.ros.ros2_bag import Ros2BagSource
+from recorders.registry import FORMATS
 from recorders.room import RoomSource
 from tests.round_trip import assert_round_trip
 from tests.writers.ros_bags import (
@@ -195,7 +196,7 @@ def test_a_folder_of_several_files_is_one_bag(
     (tmp_path / "metadata.yaml").write_text(METADATA.format(mode=""))
     source = Ros2BagSource(tmp_path)
     assert_round_trip(source, room_frames, tmp_path / "log.mcap")
-    assert recognise(tmp_path) == "has rosbag2's metadata.yaml"
+    assert FORMATS["ros2-bag"].recognise(tmp_path) == "has rosbag2's metadata.yaml"
     (tmp_path / "bag_1.mcap").unlink()
     with pytest.raises(ProgroundError, match=r"bag_1\.mcap: no such file"):
         Ros2BagSource(tmp_path)
@@ -495,13 +496,13 @@ def test_bayer_yuv_and_grey_become_rgb() -> None:
 
 
 def test_our_own_logs_are_recognised_to_be_refused(room_log: Path) -> None:
-    assert recognise(room_log) == "is MCAP with ROS 2 images"
+    assert FORMATS["ros2-bag"].recognise(room_log) == "is MCAP with ROS 2 images"
     with pytest.raises(ProgroundError, match=r"room\.mcap: is a log of pglog already"):
         Ros2BagSource(room_log)
 
 
 def test_recognise(bag: Path, tmp_path: Path, sent: list[Sent]) -> None:
-    assert recognise(bag) == "is MCAP with ROS 2 images"
+    assert FORMATS["ros2-bag"].recognise(bag) == "is MCAP with ROS 2 images"
     others = write_mcap(tmp_path / "tf.mcap", [each for each in sent if "tf" in each[0]])
     text = tmp_path / "text.mcap"
     text.write_text("no bag")
@@ -510,8 +511,8 @@ def test_recognise(bag: Path, tmp_path: Path, sent: list[Sent]) -> None:
     folder.mkdir()
     (folder / "metadata.yaml").write_text("a: 1\n")
     for path in (others, text, tmp_path / "cut.mcap", folder, tmp_path, tmp_path / "nothing"):
-        assert recognise(path) is None
-    assert recognise(Path("x" * 5000 + ".mcap")) is None
+        assert FORMATS["ros2-bag"].recognise(path) is None
+    assert FORMATS["ros2-bag"].recognise(Path("x" * 5000 + ".mcap")) is None
 
 
 def test_bags_without_an_index_can_be_mended(bag: Path, sent: list[Sent], tmp_path: Path) -> None:

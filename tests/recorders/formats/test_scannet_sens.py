@@ -13,7 +13,8 @@ import pytest
 from proground_log.camera import Calibration, Camera, pose_from_quaternion
 from proground_log.errors import ProgroundError
 from proground_log.frame import SensorFrame
-from recorders.formats.scannet_sens import ScannetSensSource, recognise
+from recorders.formats.scannet_sens import ScannetSensSource
+from recorders.registry import FORMATS
 from recorders.room import RoomSource
 from tests.round_trip import assert_round_trip
 from tests.writers.scannet_sens import (
@@ -53,7 +54,10 @@ def test_the_room_comes_back(
     tmp_path: Path, room: RoomSource, room_frames: list[SensorFrame]
 ) -> None:
     source = ScannetSensSource(room_sens(tmp_path / "room.sens", room, room_frames))
-    assert recognise(tmp_path / "room.sens") == "is a .sens stream of version 4"
+    assert (
+        FORMATS["scannet-sens"].recognise(tmp_path / "room.sens")
+        == "is a .sens stream of version 4"
+    )
     assert source.warnings == ()
     assert source.notes == {"frames without a pose": "0"}
     for image in ("color", "depth"):
@@ -295,4 +299,4 @@ def test_other_paths_are_not_recognised(tmp_path: Path) -> None:
         "",
         "nul\0.sens",
     ):
-        assert recognise(tmp_path / name) is None
+        assert FORMATS["scannet-sens"].recognise(tmp_path / name) is None
