@@ -122,7 +122,8 @@ REGISTRY.struct_rule(_PartsRule())
 
 def quiet(kind: Any, default: object) -> Any:
     """The type of an argument, whose default the help leaves out where it is nothing."""
-    return Annotated[kind, NO_DEFAULT_SHOWN] if default in (None, ()) else kind
+    is_nothing = default is None or default is False or default == ()
+    return Annotated[kind, NO_DEFAULT_SHOWN] if is_nothing else kind
 
 
 @contextmanager
