@@ -7,6 +7,7 @@ import zlib
 from collections.abc import Sequence
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from proground_log.camera import Camera
@@ -74,4 +75,30 @@ def room_sens(
         )
     # Measurements of the inertial sensor come last: none.
     path.write_bytes(content + struct.pack("<Q", 0))
+    return path
+
+
+SMALL = Camera.from_integer_centres(16, 12, 14.0, 15.0, 7.5, 5.25)
+
+
+WIDE = Camera.from_integer_centres(20, 14, 18.0, 19.0, 9.75, 6.5)
+
+
+def small_sens(
+    path: Path, count: int = 3, codings: tuple[int, int] = (2, 1), **changes: object
+) -> Path:
+    """A file of noise with another size of colour than of depth."""
+    rng = np.random.default_rng(3)
+    content = sens_header(WIDE, SMALL, count, codings=codings, **changes)  # type: ignore[arg-type]
+    for number in range(count):
+        pixels = rng.integers(0, 256, (14, 20, 3), dtype=np.uint8)
+        color = pixels.tobytes()
+        if codings[0]:
+            suffix = {1: ".png", 2: ".jpg"}.get(codings[0], ".png")
+            color = cv2.imencode(suffix, pixels)[1].tobytes()
+        depth = rng.integers(0, 9000, (12, 16)).astype("<u2").tobytes()
+        depth = zlib.compress(depth) if codings[1] else depth
+        time_us = 1000 + number * PERIOD_US
+        content += sens_frame(np.eye(4), color, depth, time_us, time_us)
+    path.write_bytes(content)
     return path

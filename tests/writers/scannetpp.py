@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -67,3 +68,23 @@ def write_iphone(folder: Path, frames: Sequence[SensorFrame], poses: dict[str, A
     (folder / "depth.bin").write_bytes(lz4_records(frames))
     (folder / "pose_intrinsic_imu.json").write_text(json.dumps(poses))
     return folder
+
+
+def deflate(data: bytes) -> bytes:
+    packer = zlib.compressobj(wbits=-zlib.MAX_WBITS)
+    return packer.compress(data) + packer.flush()
+
+
+def metres(frame: SensorFrame) -> bytes:
+    return frame.depth_m.astype("<f4").tobytes()
+
+
+def deflate_records(frames: Iterable[SensorFrame]) -> bytes:
+    return b"".join(record(deflate(metres(frame))) for frame in frames)
+
+
+def one_deflate(frames: Iterable[SensorFrame]) -> bytes:
+    return deflate(b"".join(map(metres, frames)))
+
+
+CODINGS = {"lz4": lz4_records, "deflate": deflate_records, "one stream": one_deflate}

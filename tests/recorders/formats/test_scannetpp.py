@@ -1,8 +1,7 @@
 from __future__ import annotations
 
 import json
-import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -21,33 +20,16 @@ from recorders.room import RoomSource
 from recorders.source import Source
 from tests.round_trip import assert_round_trip
 from tests.writers.scannetpp import (
+    CODINGS,
+    deflate,
     iphone_frame,
     lz4_records,
+    one_deflate,
     poses_of,
     record,
     write_iphone,
     write_video,
 )
-
-
-def deflate(data: bytes) -> bytes:
-    packer = zlib.compressobj(wbits=-zlib.MAX_WBITS)
-    return packer.compress(data) + packer.flush()
-
-
-def metres(frame: SensorFrame) -> bytes:
-    return frame.depth_m.astype("<f4").tobytes()
-
-
-def deflate_records(frames: Iterable[SensorFrame]) -> bytes:
-    return b"".join(record(deflate(metres(frame))) for frame in frames)
-
-
-def one_deflate(frames: Iterable[SensorFrame]) -> bytes:
-    return deflate(b"".join(map(metres, frames)))
-
-
-CODINGS = {"lz4": lz4_records, "deflate": deflate_records, "one stream": one_deflate}
 
 
 @pytest.fixture(scope="module")
