@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import io
+import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import redirect_stderr
-from dataclasses import dataclass
+from contextlib import redirect_stderr, redirect_stdout, suppress
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import partial
 from inspect import Signature, signature
@@ -181,10 +182,7 @@ def _refuse_unknown_options(at_hand: _AtHand, kind: str) -> None:
     """Raise a ProgroundError with the nearest options if there is one that the command has not."""
     if isinstance(at_hand.command, Group):
         return
-    parser = tyro.extras.get_parser(
-        as_parsed(at_hand.command, kind), config=CONFIG, registry=REGISTRY
-    )
-    options = [option for action in parser._actions for option in action.option_strings]
+    options = _options(at_hand, kind)
     where = at_hand.prog.removeprefix("pglog ")
     for word in at_hand.words:
         option = word.partition("=")[0].replace("_", "-")
@@ -200,3 +198,10 @@ def _refuse_unknown_options(at_hand: _AtHand, kind: str) -> None:
             where=where,
             todo=f"{hint}`{at_hand.prog} --help` lists all",
         )
+
+
+def _options(at_hand: _AtHand, kind: str) -> list[str]:
+    """The options of a command, as its help lists them."""
+    with redirect_stdout(io.StringIO()) as help, suppress(SystemExit):
+        _call(replace(at_hand, words=["--help"]), kind)
+    return re.findall(r"^\W*(?:-\w \w+, )?(--[\w.-]+)", help.getvalue(), re.MULTILINE)
