@@ -119,7 +119,8 @@ class Runner:
             self._mapper.finish()
         self._digest()
         sinks = self._sinks
-        summary = summary_of(self._turns, self._steps, self._mapper, sinks.tally, sinks.seconds)
+        steps = self._steps if self._plan.has_steps else None
+        summary = summary_of(self._turns, steps, self._mapper, sinks.tally, sinks.seconds)
         sinks.emit(RunFinished(summary))
         return summary
 

@@ -65,14 +65,14 @@ class Tally:
         self.worst_lag_ns = max(self.worst_lag_ns, lag_ns)
         self.longest_queue = max(self.longest_queue, event.waiting)
 
-    def summary(self) -> dict[str, object]:
-        """The report, in seconds; JSON values."""
+    def summary(self, *, has_steps: bool) -> dict[str, object]:
+        """The report, in seconds; JSON values. Steps are in it where the mapper does any."""
         return {
             "frames mapped": self.mapped,
             "frames dropped": sum(self.dropped.values()),
             **{f"dropped, {reason}": count for reason, count in self.dropped.items()},
             **({"perceived beside": self.perceived_beside} if self.perceived_beside else {}),
-            "steps": self.steps,
+            **({"steps": self.steps} if has_steps else {}),
             "overruns": self.overruns,
             "longest queue": self.longest_queue,
             "mean lag s": round(self.lag_ns / NS_PER_S / max(self.mapped, 1), 4),
@@ -84,13 +84,13 @@ class Tally:
 
 
 def summary_of(
-    turns: int, steps: int, mapper: Mapper, tally: Tally, seconds: dict[str, float]
+    turns: int, steps: int | None, mapper: Mapper, tally: Tally, seconds: dict[str, float]
 ) -> dict[str, object]:
     """What a run came to: the figures of its manifest, its table and its telemetry; JSON values.
 
     Args:
         turns: frames read, mapped or held out.
-        steps: optimisation steps done.
+        steps: optimisation steps done; None: the mapper does none.
         mapper: at its end.
         tally: of simulated time.
         seconds: the machine's time by stage.
@@ -102,12 +102,12 @@ def summary_of(
         "frames mapped": tally.mapped,
         "frames dropped": dropped,
         "frames held out": turns - tally.mapped,
-        "steps": steps,
+        **({} if steps is None else {"steps": steps}),
         **task,
         **_figures(mapper.counts()),
         "map MB": round(sum(mapper.map().sizes_bytes().values()) / 1e6, 2),
         "peak memory MB": round(peak_memory_bytes() / 1e6),
-        "simulation": tally.summary(),
+        "simulation": tally.summary(has_steps=steps is not None),
         "machine s": {stage: round(s, 3) for stage, s in seconds.items()},
     }
 

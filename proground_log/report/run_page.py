@@ -121,7 +121,7 @@ def _tiles(judged: Evaluation, result: dict[str, Any]) -> list[Tile]:
             f"of {whole(result['frames arrived'])}",
         ),
         Tile("Frames dropped", whole(result["frames dropped"])),
-        Tile("Steps", whole(result["steps"])),
+        *([Tile("Steps", whole(result["steps"]))] if "steps" in result else []),
         Tile("Map", f"{result['map MB']:.1f}", "MB"),
     ]
     return tiles

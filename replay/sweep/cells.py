@@ -282,6 +282,8 @@ def read_result(output: Path, cell: Cell, error: str | None) -> Result:
     folder = cell_folder(output, cell)
     summary = Manifest.read(RunFolder(folder).manifest).result or {}
     counts = ("frames arrived", "frames mapped", "frames dropped", "frames held out", "steps")
-    figures: dict[str, Any] = {name.replace(" ", "_"): summary[name] for name in counts}
+    figures: dict[str, Any] = {
+        name.replace(" ", "_"): summary[name] for name in counts if name in summary
+    }
     figures |= json.loads(RunFolder(folder).evaluation.read_text())["scores"]
     return Result(cell, figures, None)

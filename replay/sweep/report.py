@@ -24,7 +24,9 @@ FIGURES = {
 
 def table_rows(results: Sequence[Result]) -> list[dict[str, str]]:
     """A row for each budget and setting: figures as mean ± standard deviation over the seeds."""
-    columns = {**figures_of(results), "steps": "steps"}
+    columns = figures_of(results)
+    if any("steps" in result.figures for result in results):
+        columns["steps"] = "steps"
     rows = []
     for group in _same_but_for_seed(results):
         given = group[0].cell.settings

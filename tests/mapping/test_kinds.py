@@ -128,6 +128,18 @@ def test_it_is_judged_asked_reported_and_exported(run: Path, tmp_path: Path, pgl
         assert answer.code == 0, answer.err
 
 
+def test_no_steps_are_counted_nor_missed_where_it_does_none(
+    room_log: Path, tmp_path: Path, pglog: Pglog
+) -> None:
+    answer = pglog("replay", room_log, "-o", tmp_path / "run", "--mapper", "points")
+    assert answer.code == 0
+    assert "learnt nothing" not in answer.err
+    result = Manifest.read(RunFolder(tmp_path / "run").manifest).result
+    assert result is not None
+    assert "steps" not in result
+    assert "steps" not in result["simulation"]
+
+
 def test_its_settings_are_flags_and_stand_in_the_manifest(run: Path, pglog: Pglog) -> None:
     config = Manifest.read(RunFolder(run).manifest).config
     assert (config.kind, config.mapper.voxel_m) == ("points", 0.06)
