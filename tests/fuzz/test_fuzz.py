@@ -22,6 +22,7 @@ def test_changes_depend_on_the_seed_alone(change: object) -> None:
     assert first == again != other
 
 
+@pytest.mark.slow
 def test_hostile_files_give_results_or_errors(tmp_path: Path) -> None:
     """A few inputs of every target; `make fuzz` takes many more."""
     for package in ("lzfse", "rosbags"):

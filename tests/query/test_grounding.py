@@ -155,6 +155,7 @@ def digests() -> list[str]:
     return [hashlib.sha256(answer.tobytes()).hexdigest() for answer in answers]
 
 
+@pytest.mark.slow
 def test_answers_do_not_depend_on_the_number_of_threads() -> None:
     program = "from tests.query.test_grounding import digests; print(*digests())"
     variables = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")

@@ -283,6 +283,7 @@ def digest_of_objects() -> str:
     return digest.hexdigest()
 
 
+@pytest.mark.slow
 def test_objects_do_not_depend_on_the_number_of_threads() -> None:
     program = (
         "import sys, torch; from tests.query.test_sightings import digest_of_objects\n"

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 from proground_log.events import Event, FrameDone
@@ -50,3 +52,15 @@ class StopAfter:
 
 def ledger_bytes(run: Path) -> bytes:
     return RunFolder(run).ledger.read_bytes()
+
+
+def replay_with_threads(log: Path, run: Path, threads: int) -> None:
+    """A replay by the command, in a process of so many threads."""
+    count = str(threads)
+    command = [sys.executable, "-m", "pglog", "replay", str(log), "-o", str(run)]
+    subprocess.run(
+        [*command, "--threads", count, *SMALL_FLAGS],
+        env={**os.environ, "NUMBA_NUM_THREADS": count, "OMP_NUM_THREADS": count},
+        check=True,
+        capture_output=True,
+    )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 import time
@@ -23,7 +22,7 @@ from replay.divergence.diff import compare_runs
 from replay.session import ReplayStoppedError, replay
 from tests.full_disk import largest_file
 from tests.replay.golden import CASES, SMALL, golden_path, machine, replay_case
-from tests.replay.small_replay import SMALL_FLAGS, StopAfter, ledger_bytes
+from tests.replay.small_replay import SMALL_FLAGS, StopAfter, ledger_bytes, replay_with_threads
 
 
 @pytest.fixture(scope="module")
@@ -49,19 +48,12 @@ def test_telemetry_does_not_touch_the_map(
     assert not RunFolder(tmp_path / "run").telemetry.exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("threads", [1, 2, 4])
 def test_any_number_of_threads_gives_the_same_ledger(
     room_log: Path, reference_run: Path, tmp_path: Path, threads: int
 ) -> None:
-    count = str(threads)
-    environment = {**os.environ, "NUMBA_NUM_THREADS": count, "OMP_NUM_THREADS": count}
-    command = [sys.executable, "-m", "pglog", "replay", str(room_log)]
-    subprocess.run(
-        [*command, "-o", str(tmp_path / "run"), "--threads", count, *SMALL_FLAGS],
-        env=environment,
-        check=True,
-        capture_output=True,
-    )
+    replay_with_threads(room_log, tmp_path / "run", threads)
     assert ledger_bytes(tmp_path / "run") == ledger_bytes(reference_run)
 
 
@@ -103,6 +95,7 @@ def test_killed_and_resumed_gives_the_same_ledger(
     assert ledger_bytes(run) == ledger_bytes(reference_run)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("room_bytes", [20_000, 150_000, 400_000])
 def test_a_full_disk_is_named_and_the_run_goes_on_when_there_is_room(
     room_log: Path, reference_run: Path, tmp_path: Path, room_bytes: int
@@ -120,6 +113,7 @@ def test_a_full_disk_is_named_and_the_run_goes_on_when_there_is_room(
     assert ledger_bytes(run) == ledger_bytes(reference_run)
 
 
+@pytest.mark.slow
 def test_another_seed_differs_from_the_first_step(
     room_log: Path, reference_run: Path, tmp_path: Path
 ) -> None:
@@ -216,6 +210,7 @@ def other_log(path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_resume_refuses_another_log_and_other_options(room_log: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     with pytest.raises(ReplayStoppedError):

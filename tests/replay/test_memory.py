@@ -10,6 +10,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 
 from proground_log.camera import Calibration, Camera
 from proground_log.frame import Selection, SensorFrame
@@ -57,6 +58,7 @@ def peak_memory_mb(log: Path, run: Path) -> float:
     return float(result["peak memory MB"])
 
 
+@pytest.mark.slow
 def test_peak_memory_is_flat_in_the_length_of_the_log(tmp_path: Path) -> None:
     peaks_mb = []
     for frames in (20, 220):

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,7 +21,7 @@ from proground_log.run.settings import ReplayConfig
 from replay.ablation.variants import Variant, run_variants, weighting_and_filtering
 from replay.session import ReplayStoppedError, replay
 from tests.replay.golden import SMALL, perceiver_of
-from tests.replay.small_replay import SMALL_FLAGS, StopAfter, ledger_bytes
+from tests.replay.small_replay import StopAfter, ledger_bytes, replay_with_threads
 
 
 @pytest.fixture(scope="module")
@@ -51,22 +48,16 @@ def test_perceiving_during_the_replay_gives_the_same_ledger(
     assert maps[0] == maps[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("threads", [1, 2, 4])
 def test_any_number_of_threads_gives_the_same_ledger(
     seen_log: Path, seen_run: Path, tmp_path: Path, threads: int
 ) -> None:
-    count = str(threads)
-    environment = {**os.environ, "NUMBA_NUM_THREADS": count, "OMP_NUM_THREADS": count}
-    command = [sys.executable, "-m", "pglog", "replay", str(seen_log)]
-    subprocess.run(
-        [*command, "-o", str(tmp_path / "run"), "--threads", count, *SMALL_FLAGS],
-        env=environment,
-        check=True,
-        capture_output=True,
-    )
+    replay_with_threads(seen_log, tmp_path / "run", threads)
     assert ledger_bytes(tmp_path / "run") == ledger_bytes(seen_run)
 
 
+@pytest.mark.slow
 def test_stopped_and_resumed_gives_the_same_ledger(
     room_log: Path, seen_run: Path, tmp_path: Path
 ) -> None:
@@ -96,6 +87,7 @@ def test_semantics_leave_geometry_and_colour_as_they_are(
     assert {"semantic", "scale", "uncertainty"} <= set(steps[-1]["losses"])
 
 
+@pytest.mark.slow
 def test_another_task_is_another_ledger(room_log: Path, seen_run: Path, tmp_path: Path) -> None:
     fewer = perceiver_of(room_log, cushions=False)
     replay(room_log, tmp_path / "run", SMALL, perceiver=fewer)
@@ -105,6 +97,7 @@ def test_another_task_is_another_ledger(room_log: Path, seen_run: Path, tmp_path
     assert description.task == fewer.description.task
 
 
+@pytest.mark.slow
 def test_a_variant_of_an_ablation_is_a_replay_of_its_own(seen_run: Path, room_log: Path) -> None:
     perceiver, config = perceiver_of(room_log), replace(SMALL, hold_out_every=0)
     run = seen_run.parent / "all"

@@ -92,6 +92,7 @@ def write_run(
     merge_segments([folder / "telemetry.rrd"], folder / "telemetry.rrd")
 
 
+@pytest.mark.slow
 @needs_vulkan
 def test_a_run_shows_what_matters_without_a_click(tmp_path: Path) -> None:
     write_run(tmp_path)
@@ -112,6 +113,7 @@ def test_a_run_shows_what_matters_without_a_click(tmp_path: Path) -> None:
     assert_drawn(picture, {"losses": (0.02, 0.36, 0.75, 0.94)}, share=0.01)
 
 
+@pytest.mark.slow
 @needs_vulkan
 def test_a_run_with_a_task_shows_labels_and_scores_without_a_click(tmp_path: Path) -> None:
     write_run(tmp_path, stream.TASK)
@@ -141,6 +143,7 @@ def click_second_tabs(part: rrb.Container | rrb.View) -> None:
         click_second_tabs(inner)
 
 
+@pytest.mark.slow
 @needs_vulkan
 def test_the_tabs_of_meaning_are_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     layout = replay_blueprint(stream.mapper_known(stream.TASK))
@@ -163,6 +166,7 @@ def test_the_tabs_of_meaning_are_drawn(tmp_path: Path, monkeypatch: pytest.Monke
     assert_drawn(picture, {"semantic loss": (0.02, 0.18, 0.76, 0.94)}, share=0.003)
 
 
+@pytest.mark.slow
 @needs_vulkan
 def test_the_budget_tab_draws_the_schedule(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     layout = replay_blueprint(stream.mapper_known(None))
@@ -184,6 +188,7 @@ def test_the_budget_tab_draws_the_schedule(tmp_path: Path, monkeypatch: pytest.M
     assert_drawn(picture, plots, share=0.003)
 
 
+@pytest.mark.slow
 @needs_vulkan
 def test_a_log_shows_depth_in_space_and_its_images(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
