@@ -21,6 +21,8 @@ from proground_log.query.mesh import extract_mesh
 from proground_log.run.folder import RunFolder
 from proground_log.run.ledger import bits_float, read_ledger
 
+pytestmark = pytest.mark.slow
+
 EXAMPLES = Path(__file__).parents[1] / "examples"
 FRAMES, BUDGET_MS = 8, 420
 VOXEL_M = 0.08

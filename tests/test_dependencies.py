@@ -12,7 +12,7 @@ import pytest
 
 from tests.checkout import ROOT, needs_checkout, pyproject
 
-pytestmark = needs_checkout
+pytestmark = [needs_checkout, pytest.mark.slow]
 
 PRODUCT = ("pglog", "proground_log", "recorders", "replay")
 OTHERS = ("benchmarks", "examples", "tests")

@@ -36,6 +36,8 @@ from tests.writers.scannet import write_scene as write_scannet
 from tests.writers.scannet_sens import room_sens
 from tests.writers.scannetpp import iphone_frame, poses_of, write_iphone
 
+pytestmark = pytest.mark.slow
+
 KINECT = Camera(640, 480, 535.4, 539.2, 320.6, 248.1)
 """That of freiburg3."""
 HABITAT = Camera(640, 480, 320.0, 320.0, 320.0, 240.0)

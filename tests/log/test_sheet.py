@@ -21,6 +21,8 @@ from proground_log.palette import label_colors
 from recorders.record import record
 from tests.writers.small_source import SmallSource, write_log
 
+pytestmark = pytest.mark.slow
+
 
 def drawn(log: Path, output: Path) -> np.ndarray:
     """The sheet of a log, uint8 [H, W, 3] RGB."""

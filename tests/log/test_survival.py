@@ -22,6 +22,8 @@ from recorders.recover import recover
 from tests.full_disk import largest_file
 from tests.writers.small_source import SmallSource
 
+pytestmark = pytest.mark.slow
+
 FRAMES = 300
 SECOND_NS = 1_000_000_000
 

@@ -53,6 +53,7 @@ def shortest_m(boxes: list[Box], start_m: np.ndarray, goal_m: np.ndarray) -> flo
     return float(length_m) / 1.028
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_a_way_is_safe_by_the_true_distances_and_near_the_shortest(seed: int) -> None:
     boxes = furnished(seed)

@@ -175,6 +175,7 @@ class RepeatingSource(SmallSource):
         return replace(self._only, index=index, stamp_ns=index * 1_000_000)
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_number_of_frames(tmp_path: Path) -> None:
     camera = Calibration.registered(Camera(320, 240, 300.0, 300.0, 160.0, 120.0))
 

@@ -24,6 +24,8 @@ from tests.full_disk import largest_file
 from tests.replay.golden import CASES, SMALL, golden_path, machine, replay_case
 from tests.replay.small_replay import SMALL_FLAGS, StopAfter, ledger_bytes, replay_with_threads
 
+SLOW = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def reference_run(room_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -40,6 +42,7 @@ def test_twice_is_the_same(room_log: Path, reference_run: Path, tmp_path: Path) 
     assert compare_runs(reference_run, tmp_path / "run").is_same
 
 
+@SLOW
 def test_telemetry_does_not_touch_the_map(
     room_log: Path, reference_run: Path, tmp_path: Path
 ) -> None:
@@ -48,7 +51,7 @@ def test_telemetry_does_not_touch_the_map(
     assert not RunFolder(tmp_path / "run").telemetry.exists()
 
 
-@pytest.mark.slow
+@SLOW
 @pytest.mark.parametrize("threads", [1, 2, 4])
 def test_any_number_of_threads_gives_the_same_ledger(
     room_log: Path, reference_run: Path, tmp_path: Path, threads: int
@@ -57,7 +60,7 @@ def test_any_number_of_threads_gives_the_same_ledger(
     assert ledger_bytes(tmp_path / "run") == ledger_bytes(reference_run)
 
 
-@pytest.mark.parametrize("stops", [[1], [4], [3, 5]])
+@pytest.mark.parametrize("stops", [[4], *(pytest.param(s, marks=SLOW) for s in ([1], [3, 5]))])
 def test_stopped_by_ctrl_c_and_resumed_gives_the_same_ledger(
     room_log: Path, reference_run: Path, tmp_path: Path, stops: list[int]
 ) -> None:
@@ -79,6 +82,7 @@ def test_stopped_by_ctrl_c_and_resumed_gives_the_same_ledger(
     assert names == ["ledger.jsonl", "manifest.json", "map.safetensors", "telemetry.rrd"]
 
 
+@SLOW
 def test_killed_and_resumed_gives_the_same_ledger(
     room_log: Path, reference_run: Path, tmp_path: Path
 ) -> None:
@@ -95,7 +99,7 @@ def test_killed_and_resumed_gives_the_same_ledger(
     assert ledger_bytes(run) == ledger_bytes(reference_run)
 
 
-@pytest.mark.slow
+@SLOW
 @pytest.mark.parametrize("room_bytes", [20_000, 150_000, 400_000])
 def test_a_full_disk_is_named_and_the_run_goes_on_when_there_is_room(
     room_log: Path, reference_run: Path, tmp_path: Path, room_bytes: int
@@ -113,7 +117,7 @@ def test_a_full_disk_is_named_and_the_run_goes_on_when_there_is_room(
     assert ledger_bytes(run) == ledger_bytes(reference_run)
 
 
-@pytest.mark.slow
+@SLOW
 def test_another_seed_differs_from_the_first_step(
     room_log: Path, reference_run: Path, tmp_path: Path
 ) -> None:
@@ -129,6 +133,7 @@ def test_another_seed_differs_from_the_first_step(
     assert "table" in comparison.tensors
 
 
+@SLOW
 def test_diff_names_the_first_step_and_the_loss(
     room_log: Path, reference_run: Path, tmp_path: Path
 ) -> None:
@@ -144,6 +149,7 @@ def test_diff_names_the_first_step_and_the_loss(
     assert [detail.split(":")[0] for detail in divergence.details] == ["loss total"]
 
 
+@SLOW
 def test_diff_names_a_frame_that_is_missing(
     room_log: Path, reference_run: Path, tmp_path: Path
 ) -> None:
@@ -210,7 +216,7 @@ def other_log(path: Path) -> Path:
     return path
 
 
-@pytest.mark.slow
+@SLOW
 def test_resume_refuses_another_log_and_other_options(room_log: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     with pytest.raises(ReplayStoppedError):

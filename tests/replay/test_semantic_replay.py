@@ -23,6 +23,8 @@ from replay.session import ReplayStoppedError, replay
 from tests.replay.golden import SMALL, perceiver_of
 from tests.replay.small_replay import StopAfter, ledger_bytes, replay_with_threads
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def seen_log(room_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -48,7 +50,6 @@ def test_perceiving_during_the_replay_gives_the_same_ledger(
     assert maps[0] == maps[1]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("threads", [1, 2, 4])
 def test_any_number_of_threads_gives_the_same_ledger(
     seen_log: Path, seen_run: Path, tmp_path: Path, threads: int
@@ -57,7 +58,6 @@ def test_any_number_of_threads_gives_the_same_ledger(
     assert ledger_bytes(tmp_path / "run") == ledger_bytes(seen_run)
 
 
-@pytest.mark.slow
 def test_stopped_and_resumed_gives_the_same_ledger(
     room_log: Path, seen_run: Path, tmp_path: Path
 ) -> None:
@@ -87,7 +87,6 @@ def test_semantics_leave_geometry_and_colour_as_they_are(
     assert {"semantic", "scale", "uncertainty"} <= set(steps[-1]["losses"])
 
 
-@pytest.mark.slow
 def test_another_task_is_another_ledger(room_log: Path, seen_run: Path, tmp_path: Path) -> None:
     fewer = perceiver_of(room_log, cushions=False)
     replay(room_log, tmp_path / "run", SMALL, perceiver=fewer)
@@ -97,7 +96,6 @@ def test_another_task_is_another_ledger(room_log: Path, seen_run: Path, tmp_path
     assert description.task == fewer.description.task
 
 
-@pytest.mark.slow
 def test_a_variant_of_an_ablation_is_a_replay_of_its_own(seen_run: Path, room_log: Path) -> None:
     perceiver, config = perceiver_of(room_log), replace(SMALL, hold_out_every=0)
     run = seen_run.parent / "all"

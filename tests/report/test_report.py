@@ -40,6 +40,8 @@ from proground_log.run.ledger import bits_float, read_ledger
 from proground_log.run.settings import ReplayConfig, SimulationConfig, TelemetryConfig, flags
 from replay.session import replay
 
+pytestmark = pytest.mark.slow
+
 WICKED = "<script>alert(1)</script>"
 SMALL = NeuralConfig(
     field=FieldConfig(log2_rows=12, levels=4, voxel_m=0.1),

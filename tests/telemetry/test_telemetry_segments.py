@@ -17,6 +17,8 @@ from proground_log.telemetry.segments import merge_segments
 from tests.telemetry import telemetry_stream as stream
 from tests.telemetry.telemetry_cells import cells_of
 
+pytestmark = pytest.mark.slow
+
 KILLED = """
 import os, signal, sys
 from pathlib import Path

@@ -29,6 +29,8 @@ from proground_log.telemetry.rerun_sink import TelemetrySink
 from proground_log.telemetry.segments import merge_segments
 from tests.telemetry import telemetry_stream as stream
 
+pytestmark = pytest.mark.slow
+
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "google-chrome", "chrome"))), None)
 START_TIMEOUT_S, DRAWN_WITHIN_S = 60, 120
 """Without a graphics card, a browser takes seconds for every picture of the viewer."""

@@ -22,6 +22,8 @@ from recorders.room.scene import CLASSES, LABEL_NAMES, LABELS
 from recorders.room.source import CAMERA
 from tests.perception.simulated.label_counts import LabelCounts, count_labels
 
+pytestmark = pytest.mark.slow
+
 PROMPTS = tuple(c for c in CLASSES if c not in ("wall", "floor", "ceiling", "window", "door"))
 TASK = Task("room", PROMPTS)
 

@@ -532,6 +532,7 @@ def rigid_errors_m(found: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     return np.linalg.norm(found @ turn - wanted, axis=1)
 
 
+@pytest.mark.slow
 def test_the_kitchen(shared_data: Path, depth_agreement: Callable[..., float]) -> None:
     kitchen, workspace = (
         shared_data / "7scenes_redkitchen/seq-01",
