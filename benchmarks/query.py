@@ -14,7 +14,7 @@ from proground_log.mapping.map_file import load_map, save_map
 from proground_log.mapping.neural.neural_map import NeuralMap
 from proground_log.mapping.neural.semantic_map import SemanticMap
 from proground_log.perception.texts import of_length_1
-from proground_log.query.grounding import ask_map, relevance_to
+from proground_log.query.grounding import relevance_to
 from proground_log.query.mesh import extract_mesh
 from proground_log.streams import stream
 from replay.device import choose_device
@@ -34,12 +34,12 @@ def measure() -> list[Row]:
     draw = stream(0, "benchmark of queries")
     points_m = draw.uniform(BOUNDS.lower_m, BOUNDS.upper_m, (VERTICES, 3)).astype(np.float32)
     texts = of_length_1(draw.standard_normal((PROMPTS, 512)), "benchmark")
-    logits, background = ask_map(content, points_m, texts)
+    logits, background = content.ask(points_m, texts)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "map.safetensors")
         save_map(path, content)
         ask_s, field_s, decide_s, load_s, mesh_s = median_seconds(
-            lambda: ask_map(content, points_m, texts),
+            lambda: content.ask(points_m, texts),
             lambda: list(content.features_at(points_m)),
             lambda: relevance_to(logits[:, 0], logits.max(axis=1), background),
             lambda: load_map(path),

@@ -49,7 +49,7 @@ def _prediction() -> list[Row]:
         pglog("calibrate", "-o", str(after))
         manifest = Manifest.read(run / "manifest.json")
         timings = [
-            Plan(LogReader(log), manifest.config, CostModel.load(str(path)), perceives=False).timing
+            Plan(LogReader(log), manifest.config, CostModel.load(str(path)), learns=False).timing
             for path in (before, after)
         ]
     result: Any = manifest.result

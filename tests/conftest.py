@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -9,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pglog.commands import main
 from proground_log.camera import transform
 from proground_log.frame import Selection, SensorFrame
 from recorders.record import record
@@ -18,6 +18,11 @@ from recorders.source import Source
 from tests.commands import Answer, Pglog
 
 SHARED_DATA = Path(__file__).parents[2] / "shared" / "data"
+
+
+def pytest_configure() -> None:
+    """Forget the width of the terminal before anything is imported that would keep it."""
+    os.environ.pop("COLUMNS", None)
 
 
 @pytest.fixture(scope="session")
@@ -31,6 +36,8 @@ def shared_data() -> Path:
 @pytest.fixture
 def pglog(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Pglog:
     """Runs a command in this process, in a terminal of 100 columns."""
+    from pglog.commands import main
+
     monkeypatch.setenv("COLUMNS", "100")
 
     def run(*arguments: object) -> Answer:

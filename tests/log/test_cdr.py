@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import tomllib
-from pathlib import Path
 from types import SimpleNamespace
 
 from proground_log.log.cdr import decoder, encoder
+from tests.checkout import ROOT, needs_checkout, pyproject
 
-ROOT = Path(__file__).parents[2]
 DEFINITION = "string name\nfloat64[] values\n"
 
 
@@ -19,6 +17,7 @@ def test_a_message_comes_back_as_it_was() -> None:
     assert (found.name, list(found.values)) == (message.name, message.values)
 
 
+@needs_checkout
 def test_private_parts_are_touched_here_alone_and_the_package_is_pinned() -> None:
     touching = [
         path.relative_to(ROOT).as_posix()
@@ -27,6 +26,7 @@ def test_private_parts_are_touched_here_alone_and_the_package_is_pinned() -> Non
         if "mcap_ros2._dynamic" in path.read_text()
     ]
     assert touching == ["proground_log/log/cdr.py"]
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    (pin,) = (d for d in project["dependencies"] if d.startswith("mcap-ros2-support"))
+    (pin,) = (
+        d for d in pyproject()["project"]["dependencies"] if d.startswith("mcap-ros2-support")
+    )
     assert "<0.7" in pin

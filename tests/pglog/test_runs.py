@@ -87,7 +87,7 @@ def test_a_log_is_mapped_judged_exported_and_compared(
     assert_one_clear_line(pglog("replay", room_log, "-o", runs[0]), "the output exists")
     answer = pglog("evaluate", runs[0], "--json", "--voxel-m", 0.2)
     assert answer.code == 0
-    assert json.loads(answer.out)["views"] == 1
+    assert json.loads(answer.out)["scores"]["views"] == 1
     mesh = tmp_path / "a.ply"
     answer = pglog("export", runs[0], "mesh", "-o", mesh, "--voxel-m", 0.2)
     assert answer.code == 0

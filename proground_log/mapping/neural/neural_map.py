@@ -144,7 +144,7 @@ class NeuralMap:
         logits = np.empty((len(points_m), len(texts)), np.float32)
         background = []
         start = 0
-        for features in self._features_at(points_m):
+        for features in self.features_at(points_m):
             scale_logits = semantics.heads.scale_logits(features).cpu().numpy()
             uncertainty = semantics.heads.uncertainty_logits(features).sigmoid().cpu().numpy()
             background.append(background_probability(scale_logits, uncertainty))
@@ -167,7 +167,7 @@ class NeuralMap:
 
     def semantics_at(self, points_m: np.ndarray) -> Semantics:
         """What each head says of points [N, 3] in world metres."""
-        parts = map(self._meaningful.decode, self._features_at(points_m))
+        parts = map(self._meaningful.decode, self.features_at(points_m))
         return Semantics.concatenate(list(parts))
 
     def _told(self, semantics: Semantics) -> Meaning:
@@ -182,7 +182,7 @@ class NeuralMap:
             uncertainty=semantics.uncertainty,
         )
 
-    def _features_at(self, points_m: np.ndarray) -> Iterator[PointFeatures]:
+    def features_at(self, points_m: np.ndarray) -> Iterator[PointFeatures]:
         """What the semantic heads look at, at points [N, 3] in world metres, some at a time."""
         space = self._meaningful.heads.space
         for points in self._normalised(points_m):
